@@ -17,7 +17,8 @@ _LABEL = re.compile(r"[abBt]|[A-Za-ln-z]\d+", re.ASCII)
 #: read one way only, so that the time of long texts is linear in their length
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _PLAIN = re.compile(_NUMBER, re.ASCII)
-_WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII)
+#: the number whole: "1e-7/MPa" is not 1 of the unit e-7/MPa
+_WITH_UNIT = re.compile(rf"\s*((?>{_NUMBER}))\s*((?:[^\W\d_]|[%°µμ(]|1?\s*/).*)", re.ASCII)
 
 
 #: as figures and pages write them: lengths of 1e-6 m, and powers
@@ -207,7 +208,8 @@ def number_and_unit(value: str) -> tuple[float, str]:
     match = _WITH_UNIT.fullmatch(value)
     if match is None:
         raise RejectedError
-    return float(match[1]), match[2].strip()
+    unit = match[2].strip()
+    return float(match[1]), f"1{unit}" if unit.startswith("/") else unit
 
 
 def number_in(value: str, base: str | None) -> float:

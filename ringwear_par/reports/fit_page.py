@@ -1,5 +1,6 @@
 """The page of a fit, and of the design of the next tests, from what their folders hold."""
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, in_signs, with_signs
 from ringwear_par.errors import InputError, counted, legible
 from ringwear_par.files import folders
-from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.identification import summary
 from ringwear_par.pictures import fit_panels, key_panels
@@ -50,7 +50,7 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
     """Yield the content of a JSON file; an error while it is used means that it is damaged."""
     fault, text = f"{path}: is not {kind}, or is damaged", read_file(path)
     try:
-        content = parse_json(text)
+        content = json.loads(text)
     except ValueError as error:
         raise InputError(fault) from error
     if not isinstance(content, dict):

@@ -100,31 +100,6 @@ def test_a_sentence_for_a_wrong_layer(setting):
     assert list(caught.value.faults) == [WRONG[setting]]
 
 
-@pytest.mark.parametrize(
-    ("setting", "why"),
-    [
-        (
-            "upper.layers=[{ thickness = 0.1, young = 1e5, poisson = .3 }]",
-            'TOML does not accept it at ".3 }]"; numbers have a digit before their point, as 0.3',
-        ),
-        ("contact.friction=-.25", '"-.25"; numbers have a digit before their point, as 0.25'),
-        ("load.pressure=[[0 h, 3]]", 'TOML does not accept it at "h, 3]]"'),
-        ("lower.layers=[{ thickness = 0.1, young = 1e5", "TOML finds no end of it"),
-        ("lower.layers=[\n{ young = 3 um }]", 'TOML does not accept it at "um }]"'),
-    ],
-)
-def test_what_toml_does_not_accept_of_a_setting_is_told(setting, why):
-    with pytest.raises(rw.InputError) as caught:
-        parse_case(TEXT, "case.toml", [setting])
-    (fault,) = caught.value.faults
-    assert fault.startswith(f"--set {setting.partition('=')[0]} = ")
-    assert fault.endswith(f"{why})")
-    path, _, value = setting.partition("=")  # in Python a text is meant as one
-    with pytest.raises(rw.InputError, match=r"^override .*: must be") as caught:
-        parse_case(TEXT, "case.toml", {path: value})
-    assert "TOML" not in str(caught.value)
-
-
 def test_a_text_may_begin_like_a_list():
     assert parse_case(TEXT, "case.toml", ["title=[draft"]).title == "[draft"
 

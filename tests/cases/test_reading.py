@@ -45,7 +45,8 @@ def test_a_dict_is_as_good_as_a_file(path, monkeypatch):
 def test_values_of_numpy_are_numbers():
     changes = {
         "load.pressure": np.float32(50),
-        "lower": {"r": np.array([20, 41]), "z": (0, 20)},
+        "lower.r": np.array([20, 41]),
+        "lower.z": (0, 20),
         "mesh.contact_elements": np.int64(32),
         "upper.profile": np.array([[28.5, 20.0], [30.0, 20.1], [31.5, 20.0]]),
         "load.omega": [(0, 1), (np.float64(5), 2)],
@@ -92,7 +93,7 @@ def test_entries_of_a_law_by_their_dotted_names():
 
 def test_replace_is_a_changed_and_checked_copy():
     case = read_case(PAPER)
-    changed = case.replace({"load.pressure": 50, "wear": {"lower.k": 2e-7}})
+    changed = case.replace({"load.pressure": 50, "wear.lower.k": 2e-7})
     assert case == read_case(PAPER)
     assert changed == read_case(PAPER, ["load.pressure=50", "wear.lower.k=2e-7"])
     assert changed == case.replace(["load.pressure=50", "wear.lower.k=2e-7"])
@@ -107,14 +108,29 @@ def test_replace_is_a_changed_and_checked_copy():
 
 def test_none_takes_a_table_away():
     both = read_case(PAPER, {"wear.upper": {"law": "archard", "k": 1e-9}})
-    for nothing in ({"wear.lower": None}, {"wear": {"lower": None}}):
-        changed = both.replace(nothing)
-        assert (changed.wear_lower, changed.wear_upper) == (None, both.wear_upper)
+    changed = both.replace({"wear.lower": None})
+    assert (changed.wear_lower, changed.wear_upper) == (None, both.wear_upper)
     assert both.replace({"wear": None}).laws == (None, None)
     other = both.replace({"wear.lower": None, "wear.lower.law": "archard", "wear.lower.k": 1e-9})
     assert other.wear_lower == both.wear_upper
     with pytest.raises(InputError, match=r"upper\.r is missing"):
         both.replace({"upper": None})
+
+
+def test_a_table_takes_the_place_of_the_one_before():
+    case = read_case(PAPER)
+    assert case.wear_lower.p0 > 0.0
+    table = {"law": "threshold", "k": 2e-7}
+    for changes in ({"wear.lower": table}, ["wear.lower={law='threshold', k=2e-7}"]):
+        assert read_case(PAPER, changes).wear_lower == replace(case.wear_lower, k=2e-7, p0=0.0)
+    grid = ["stress.grid={r=[28, 32], z=[19, 21], n=[5, 4]}"]
+    with pytest.raises(InputError, match=r"stress\.grid\.n is missing"):
+        read_case(PAPER, grid).replace({"stress.grid": {"r": [28.0, 30.0], "z": [19.0, 20.0]}})
+
+
+@pytest.mark.parametrize("title", ["42", "2026-03-14", "true", "[1]", "a = b"])
+def test_a_title_is_the_text_that_is_typed(title):
+    assert read_case(PAPER, [f"title={title}"]).title == title
 
 
 def test_replace_wants_the_text_to_tell_the_case():

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_json, toml_text
+from ringwear_par.files.text import toml_text
 from ringwear_par.identification.definition.problem import ProcessNoise, Series
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.summary import probabilities
@@ -76,7 +76,7 @@ def followed(laboratory, folder, name="running", **options):
     """Follow the running test once, and return what is stored of it."""
     options = {"after": laboratory / "out", "once": True, "draws": 4000, **options}
     run_follow(laboratory / f"{name}.toml", folder, MPI.COMM_SELF, **options)
-    return parse_json((folder / "follow.json").read_text())
+    return json.loads((folder / "follow.json").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +212,7 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(laboratory, tmp_path,
                    after=laboratory / "out", draws=2000)  # fmt: skip
     finally:
         writer.join()
-    stored = parse_json((tmp_path / "out" / "follow.json").read_text())
+    stored = json.loads((tmp_path / "out" / "follow.json").read_text())
     assert stored["readings"] == len(rows)
     assert 60.0 <= stored["alarm"]["time"] <= 75.0
     low, high = stored["keys"][KEY]["interval"]
@@ -225,7 +225,7 @@ def test_two_ranks_say_the_same(laboratory, tmp_path):
     words = ["follow", laboratory / "running.toml", "-o", tmp_path / "two", "--once"]
     done = ringwear(*words, "--after", laboratory / "out", "--draws", 2000, ranks=2)
     assert done.returncode == 0, done.stderr
-    stored = parse_json((tmp_path / "two" / "follow.json").read_text())
+    stored = json.loads((tmp_path / "two" / "follow.json").read_text())
     for name in ("keys", "goal"):
         assert to_ten_digits(stored[name]) == to_ten_digits(alone[name])
 

@@ -9,7 +9,6 @@ import pytest
 from paths import PAPER
 
 from ringwear_par import simulate
-from ringwear_par.cases.files.law_trials import check_laws
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.text import read_text
@@ -177,29 +176,16 @@ def test_a_file_may_have_breakpoints(law, shared_path, comm):
                 assert (file["worn_volume_lower"][-1] > 1.0) == wears
 
 
-def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
-    case = PAPER.parent / "user_law.toml"
-    check_laws(case, [])
-    check_laws(PAPER.parent / "table.toml", [])
-    wrong = law(
-        "def rate(p, at): return 1e-9 * p**1.5\ndef d_rate_dp(p, at): return 1.4e-9 * p**0.5\n"
-    )
-    with pytest.raises(ComputationError, match="4 derivative"):
-        check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
-    wrong = law(
-        "import numpy as np\n"
-        "def rate(p, at): return 1e-9 * at.speed * p * (1 + np.exp(-at.wear / 1e-3))\n"
-        "def d_rate_dwear(p, at):\n"
-        "    return -1.1e-9 * at.speed * p * np.exp(-at.wear / 1e-3) / 1e-3\n"
-    )
-    with pytest.raises(ComputationError, match="derivative"):
-        check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
-    assert "FAIL derivative of the rate with respect to worn depth" in capsys.readouterr().out
-    points = [[20.0 * i, 1e-9 * i * i] for i in range(3000)]
-    check_laws(PAPER, ["wear.lower.law=table", f"wear.lower.table={points}"])
-    assert "as its kinks explain" in capsys.readouterr().out
-    check_laws(PAPER, ["load.omega=[[0, 0], [1, 0]]", "wear.lower.p0=1000"])
-    assert "not tested" in capsys.readouterr().out
+def test_a_slope_with_kinks_is_no_wrong_one(law, shared_path, comm):
+    kinked = """
+import numpy as np
+P = np.linspace(0.0, 1000.0, 3000)
+def rate(p, at): return 1e-11 * np.interp(p, P, P**2)
+def d_rate_dp(p, at): return 1e-11 * np.diff(P**2)[np.searchsorted(P[1:], p)] / P[1]
+"""
+    run_case(PAPER, shared_path / "a.h5", law(kinked), comm=comm)
+    with pytest.raises(InputError, match=r"d_rate_dp\(\) is not the derivative"):
+        run_case(PAPER, shared_path / "a.h5", law(kinked.replace("/ P[1]", "/ 0.33")), comm=comm)
 
 
 def test_a_law_that_overrides_the_rate_of_another_wears_at_its_own(comm):

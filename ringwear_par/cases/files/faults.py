@@ -10,7 +10,7 @@ from ringwear_par.cases.schema import BY_PATH, SCHEMES
 from ringwear_par.elasticity import sections
 from ringwear_par.elasticity.mesh import contact_pieces
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import shortened, value_fault
+from ringwear_par.files.text import shortened
 from ringwear_par.schedules import Quantity, largest, quantity_text
 
 #: most corners of a face: a profile with more is a trace that is not smooth
@@ -34,11 +34,6 @@ class Origin:
         """Return how a sentence about one key begins."""
         overridden = not self.overrides.isdisjoint({path, path.partition("[")[0]})
         return f"{self.setting} " if overridden else f"{self.name}: "
-
-    def typed_fault(self, path: str, value: Any) -> str:
-        """Return why TOML takes a value that was typed for one key for a text, "" where it is."""
-        typed = self.setting == "--set" and path in self.overrides
-        return value_fault(value) if typed and isinstance(value, str) else ""
 
     @property
     def whole(self) -> str:

@@ -49,8 +49,7 @@ def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any]
             try:
                 values[path] = key.value(value)
             except RejectedError as reason:
-                reason_text = origin.typed_fault(path, value) or str(reason)
-                rule = f"{key.rule} ({reason_text})" if reason_text else key.rule
+                rule = f"{key.rule} ({reason})" if str(reason) else key.rule
                 faults.append(f"{origin.prefix(path)}{path} = {shortened(value)}: {rule}")
         elif path in TABLES and value == {}:
             faults.append(f"{origin.prefix(path)}[{path}]: is empty; must have one of its keys")

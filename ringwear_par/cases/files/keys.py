@@ -20,7 +20,6 @@ from ringwear_par.files.text import (
     parse_toml,
     parse_value,
     read_text,
-    refuse_depth,
     shortened,
     toml_value,
 )
@@ -160,10 +159,23 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
         if not equals or not path.strip():
             faults.append(f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50")
             continue
-        values[path.strip()] = parse_value(text)
+        path, value = path.strip(), parse_value(text)
+        is_text = path in BY_PATH and BY_PATH[path].kind == "text"
+        values[path] = text.strip() if is_text and not isinstance(value, str) else value
     if faults:
         raise InputError(*faults)
     return values
+
+
+def changed_keys(changes: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the dotted keys of changes, of which a table takes the place of the one before.
+
+    Raises
+    ------
+    InputError : see ``flatten``.
+    """
+    tables = [p for p, value in changes.items() if isinstance(value, Mapping) and p not in BY_PATH]
+    return {**dict.fromkeys(tables), **flatten(changes, name)}
 
 
 def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -171,9 +183,8 @@ def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : a key is given twice, or values are nested too deeply.
+    InputError : a key is given twice.
     """
-    refuse_depth(tables, name)
     flat: dict[str, Any] = {}
     twice = []
     for path, value in _entries(tables, ""):
@@ -219,10 +230,9 @@ def source_tables(
 
     Raises
     ------
-    InputError : it cannot be read, or is nested too deeply.
+    InputError : it cannot be read.
     """
     if isinstance(source, Mapping):
-        refuse_depth(source, name)
         tables = plain(source)
         text = "".join(
             f"{toml_value(key)} = {toml_value(value)}\n" for key, value in tables.items()

@@ -28,7 +28,7 @@ from ringwear_par.cases.units import (
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
-from ringwear_par.files.table_text import has_hours
+from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem, Series
 from ringwear_par.identification.definition.schema import SD
@@ -191,7 +191,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
     doubts: list[str] = []
-    if hour is not None and len(x) and has_hours(data.first_cell(column_names["time"])):
+    if hour is not None and len(x) and is_clock(data.first_cell(column_names["time"])):
         first = legible(data.first_cell(column_names["time"]))
         if x[0] > end:
             x = x - x[0]

@@ -16,7 +16,7 @@ from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, unused_columns
-from ringwear_par.files.table_text import is_value
+from ringwear_par.files.table_text import is_clock, is_value
 from ringwear_par.files.text import shortened
 
 #: units of channels; of a temperature the letter behind the degree
@@ -342,6 +342,11 @@ def _conversion(
         scale = None if named is None else factor(named, base)
     if scale is not None:
         return partial(np.multiply, scale)
+    if channel == "time" and is_clock(cell := table.first_cell(column)):
+        raise InputError(
+            f"{table.name}: {legible(column)}: {cell} may be h:min or min:s; name it "
+            f'{legible(column)} / h or {legible(column)} / min, or units = {{ time = "h" }}'
+        )
     raise InputError(
         f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "
         f'units = {{ {channel} = "{written}" }}'

@@ -171,13 +171,9 @@ def test_faults(path, value, said, good):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("sd = 0,2", "(at line 2, column 7): sd = 0,2; decimals have a point, as 0.2"),
+        ("sd = 0,2", "decimals have a point, as 0.2"),
         ("a = { b = 0,2, c = 1 }", "decimals have a point, as 0.2"),
-        ("a = { b = 1,\n c = 2 }", "an inline table { ... } is on one line"),
-        ("a = { b = 1\n}", "an inline table { ... } is on one line"),
-        ("a = { b = 1, }", "an inline table { ... } is on one line"),
-        ("[[case]]", "[[case]]; a table that is there several times is [[case]] every time"),
-        ("x = what", "x = what"),
+        ("x = what", "at line 2"),
     ],
 )
 def test_what_is_no_toml_is_shown(line, said, tmp_path):

@@ -36,9 +36,10 @@ def test_tables(text, tmp_path):
 @pytest.mark.parametrize(
     ("hour", "cells", "expected"),
     [
-        (3600.0, ["00:10:00", "1:00:30", "90", "2:05,5"], [600.0, 3630.0, 90.0, 125.5]),
-        (60.0, ["0:10:00", "1:30"], [10.0, 1.5]),
+        (3600.0, ["00:10:00", "1:00:30", "90"], [600.0, 3630.0, 90.0]),
+        (60.0, ["0:10:00", "1:30", "2:07,5"], [10.0, 1.5, 2.125]),
         (1.0, ["1:30", "26:00", "0:00:36"], [1.5, 26.0, 0.01]),
+        (1.0, ["23:30", "0:30"], [23.5, 24.5]),
     ],
 )
 def test_clock_times(hour, cells, expected, tmp_path):
@@ -46,6 +47,14 @@ def test_clock_times(hour, cells, expected, tmp_path):
     path.write_text("\n".join(["t;z", *(f"{cell};1" for cell in cells)]))
     table = read_measurements(path)
     assert table.numbers("t", table.filled("t"), hour) == pytest.approx(expected)
+
+
+def test_two_parts_tell_a_time_in_hours_or_minutes_only(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t;z\n1:30;1\n")
+    table = read_measurements(path)
+    with pytest.raises(InputError, match=r"line 2: t = 1:30: .*h:min or min:s"):
+        table.numbers("t", table.filled("t"), 3600.0)
 
 
 @pytest.mark.parametrize("cell", ["1:75", "1:60:00", "1:2:3", "12:", ":30", "-1:30", "1:30:00:00"])
