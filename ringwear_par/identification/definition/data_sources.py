@@ -73,7 +73,9 @@ def read_readings(
     if single_key and where in reader:
         reader.raw(where)
         reader.wrong(
-            where, f"must be absent beside {single_key}; it is for readings that are planned"
+            where,
+            f"must be absent beside {single_key}; it is for readings that are planned",
+            "conflict",
         )
     if "file" in reader and kind != "through":
         return _from_file(reader, kind, end, files)

@@ -209,7 +209,9 @@ class _Tests:
             if name is not None:
                 reader.place = f'{self._name}: test "{legible(name)}"'
             if name in names:
-                reader.fault("name: there are two tests of this name; names must differ", "name")
+                reader.fault(
+                    "name: there are two tests of this name; names must differ", "name", "conflict"
+                )
             names.add(name)
             test = self._test(reader, name)
             if test is not None:
