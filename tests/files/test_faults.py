@@ -11,7 +11,7 @@ import ringwear_par as rw
 from ringwear_par.cli import main
 
 FAULTS = tomllib.loads((ROOT / "tests/faults.toml").read_text(encoding="utf-8"))
-BASES = FAULTS.pop("bases")
+BASES, COMMANDS = FAULTS.pop("bases"), FAULTS.pop("command")
 ALL = [(kind, fault) for kind, faults in FAULTS.items() for fault in faults]
 
 
@@ -83,7 +83,17 @@ def measure(fault, folder):
     rw.measure(folder / "measure.toml")
 
 
-READERS = {reader.__name__: reader for reader in (case, study, fit, readings, laboratory, measure)}
+def function(fault, folder):
+    keys = ["wear.lower.k", "load.pressure"]
+    inputs, outputs = fault.get("inputs", keys), fault.get("outputs", ["torque"])
+    case = rw.read_case(PAPER, {"time.steps": 20})
+    rw.function(case, inputs, outputs, derivatives="derivatives" in fault)(fault.get("values", {}))
+
+
+READERS = {
+    reader.__name__: reader
+    for reader in (case, study, fit, readings, laboratory, measure, function)
+}
 
 
 def name_of(value):
@@ -103,6 +113,23 @@ def test_fault(kind, fault, tmp_path, monkeypatch):
     assert told, [(f.loc, f.code, str(f)) for f in faults]
     assert all(word in told for word in fault["words"]), told
     assert len(faults) == fault.get("number", 1)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    rw.save(rw.simulate(rw.read_case(PAPER, {"time.steps": 2})), folder / "run.h5")
+    return folder
+
+
+@pytest.mark.parametrize("fault", COMMANDS, ids=lambda fault: fault["line"])
+def test_line(fault, results, monkeypatch, capsys):
+    monkeypatch.chdir(results)
+    assert main(fault["line"].split()) == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    assert sentence.startswith("ringwear: ")
+    assert all(word in sentence for word in fault["words"]), sentence
+    assert [path.name for path in results.iterdir()] == ["run.h5"]
 
 
 @pytest.mark.parametrize(
