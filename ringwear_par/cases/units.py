@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.values import RejectedError, UnitError
 from ringwear_par.errors import legible
 
 #: longest text of a unit, in characters: more is no unit, and slow to look at
@@ -119,7 +119,7 @@ def named_unit(name: str, base: str) -> str | None:
     ending, bracketed = _ending(name)
     if unit is None and (_is_unit(ending) or bracketed):
         unit_text = legible(ending)
-        raise RejectedError(
+        raise UnitError(
             f"is in {unit_text} by its name"
             if _is_unit(ending)
             else f"ends with [{unit_text}], no unit"
@@ -223,7 +223,7 @@ def number_in(value: str, base: str | None) -> float:
     try:
         return float(f"{number * factor(unit, base):.15g}")  # "0.1 mm" is 0.1
     except RejectedError as error:
-        raise RejectedError(f"{legible(unit)} is no unit{_instead(unit, base)}") from error
+        raise UnitError(f"{legible(unit)} is no unit{_instead(unit, base)}") from error
 
 
 def _instead(unit: str, base: str | None) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paths import CASES
-from reference_cases import SORTS, paper_case, ring_case
+from reference_cases import paper_case
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance

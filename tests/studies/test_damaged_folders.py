@@ -17,7 +17,7 @@ import pytest
 from commands import SHELL_ENVIRONMENT
 from swept import write_study
 
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
 from ringwear_par.studies.execution import (
     case_queue,
     merging,

@@ -15,7 +15,7 @@ from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import (
     parse_toml,
     parse_value,
@@ -44,7 +44,7 @@ def naming(prefix: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{prefix} {fault}" for fault in error.faults)) from error
+        raise InputError(*(f.reworded(f"{prefix} {f}") for f in error.faults)) from error
 
 
 def read_keys(text: str, name: str = "case") -> dict[str, Any]:
@@ -84,7 +84,8 @@ def base_keys(
             try:
                 text = read_text(path)
             except InputError as error:
-                faults.append(f"{name}: case = {shortened(base)}: {error}")
+                sentence = f"{name}: case = {shortened(base)}: {error}"
+                faults.append(Fault(sentence, "case", error.faults[0].code))
                 return None
             keys = read_keys(text, str(path))
             with naming(f"{path}:"):
@@ -93,7 +94,8 @@ def base_keys(
         faults += error.faults
         return None
     state = "is missing" if base is None else f"= {shortened(base)}"
-    faults.append(f"{name}: case {state}: must be the name of a case file, relative to this one")
+    sentence = f"{name}: case {state}: must be the name of a case file, relative to this one"
+    faults.append(Fault(sentence, "case", "missing" if base is None else "not_allowed"))
     return None
 
 
@@ -190,7 +192,8 @@ def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
     for path, value in _entries(tables, ""):
         if path in flat:
             name_text = legible(path)
-            twice.append(f"{name}: {name_text}: is given twice, in a table and by its dotted name")
+            sentence = f"{name}: {name_text}: is given twice, in a table and by its dotted name"
+            twice.append(Fault(sentence, path, "conflict"))
         flat[path] = value
     if twice:
         raise InputError(*twice)
@@ -295,7 +298,8 @@ def _face_in_full(path: str, shape: dict[str, Any], folder: Path) -> dict[str, A
         try:
             return {"trace": read_trace(folder / file)}
         except InputError as error:
-            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+            faults = (Fault(f"{path}: {fault}", path, fault.code) for fault in error.faults)
+            raise InputError(*faults) from error
     try:
         return {name: BY_PATH[path].without_units(value, name) for name, value in shape.items()}
     except RejectedError:
