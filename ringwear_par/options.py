@@ -15,7 +15,7 @@ BEM_PREFIX, CONTACT_PREFIX, FIT_PREFIX = "bem_", "contact_", "identify_"
 def start_petsc(words: Sequence[str]) -> None:
     """Start PETSc with options of a command line. Collective on the world's communicator.
 
-    Without effect where it has been started. It warns at its end of options that nobody read.
+    Without effect where it has been started.
     Signals stay Python's own: checkpoints on SIGTERM, quiet ends of pipes.
 
     Raises
@@ -28,7 +28,8 @@ def start_petsc(words: Sequence[str]) -> None:
         from mpi4py import MPI  # noqa: F401, I001
         import petsc4py
 
-        petsc4py.init(["ringwear", *words, "-no_signal_handler"])
+        reports = ["-options_left"] if words else []  # of those that nobody has read, at the end
+        petsc4py.init(["ringwear", *words, *reports, "-no_signal_handler"])
         from petsc4py import PETSc
     except ImportError as error:
         raise RingwearError(
