@@ -30,7 +30,7 @@ from ringwear_par.identification.model.histories import (
 )
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.execution.progress import FitProgress
-from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
+from ringwear_par.results.execution.stop_signals import StopSignals, name_of
 
 T = TypeVar("T")
 #: pauses a job until the histories at a point are computed
@@ -226,7 +226,7 @@ class Rounds(Histories):
         return [outcome for outcome, _, _ in gathered]
 
     def _stopped(self, received: int) -> StoppedError:
-        return StoppedError(f"stopped by {name_of(received)}{self._hint()}{remark(received)}")
+        return StoppedError(f"stopped by {name_of(received)}{self._hint()}")
 
 
 class Responses:
