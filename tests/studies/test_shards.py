@@ -136,12 +136,6 @@ def test_a_shard_that_another_process_writes_to_is_not_read(path, monkeypatch):
     assert names(path) == "abc"
 
 
-def test_a_link_is_not_followed(path, tmp_path):
-    (tmp_path / "link.blocks").symlink_to(path)
-    with pytest.raises(ComputationError, match="it is a link"):
-        Shard(tmp_path / "link.blocks")
-
-
 def test_something_else_is_no_shard(tmp_path):
     for content in (b"nonsense", b"nonsense" * 1000, bytes(5000)):
         (tmp_path / "a.blocks").write_bytes(content)
