@@ -156,3 +156,20 @@ def test_inverses_are_those_of_each_system(n, kind):
         assert changes[place] == pytest.approx(change, rel=1e-10)
         assert steps[place] == pytest.approx(change * border - exact, abs=1e-10)
         assert weights[i] @ steps[place] == pytest.approx(missing[place], abs=1e-10)
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("control", ["force", "approach"])
+def test_responses_are_differences(solver, name, control):
+    """To the hundredths that estimates of errors need; nobody gains or loses contact."""
+    wear, load = wear_of(name), load_of(control)
+    change = 1e-9 * RNG.uniform(0.5, 1.0, (B, N))
+    before = solver.solve(GAP, **load, wear=wear)
+    response = solver.derivatives.response(change)
+    after = solver.solve(GAP + change, **load, wear=wear)
+    same_set = ((before.pressure > 0.0) == (after.pressure > 0.0)).all(axis=1)
+    assert np.count_nonzero(same_set) > B // 2
+    found = (after.pressure - before.pressure)[same_set]
+    size = np.abs(found).max(axis=1, keepdims=True)
+    size += 1e-9 * before.pressure[same_set].max(axis=1, keepdims=True)
+    assert (np.abs(found - response[same_set]) <= 0.05 * size).all()
