@@ -1,6 +1,5 @@
-"""Pages of a run, a sweep and a fit: what they say, that they fetch nothing, and in a browser."""
+"""Pages of a run, a sweep and a fit: what they say, and that they fetch nothing."""
 
-import base64
 import itertools
 import json
 import re
@@ -10,10 +9,9 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from chromium import Browser, in_browser
 from commands import on_ranks, ringwear
 from laboratory import fit_tables, write_tests
-from paths import HELPERS, PAPER
+from paths import PAPER
 from report_pages import Read
 
 import ringwear_par as rw
@@ -350,98 +348,3 @@ def test_the_command(ranks, folder, tmp_path):
     assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 13 figures\n"
     assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
-
-
-# -- in a browser ----------------------------------------------------------------------------------
-
-#: what a page says of itself
-PROBE = (HELPERS / "report_probe.js").read_text("utf-8")
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Browser(tmp_path_factory.mktemp("chromium"), width=1024, height=800) as browser:
-        yield browser
-
-
-@in_browser
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_browser_draws_the_page_and_prints_it_on_a4(kind, folder, pages, browser):
-    browser.said.clear()
-    browser.open((folder / f"{kind}.html").as_uri())
-    printed = base64.b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
-    boxes = re.findall(rb"/MediaBox \[([-0-9. ]+)\]", printed)
-    assert boxes
-    for box in boxes:
-        assert np.allclose([float(v) for v in box.split()], [0, 0, 595, 842], atol=1.0)
-    told = browser.run(PROBE)
-    assert browser.said == []  # no error, no warning
-    assert told["width"] == 1024
-    charts = list(pages[kind].charts.values())
-    for drawn, chart in zip(told["plots"], charts, strict=True):
-        kinds = {k: len(next(iter(columns.values()))) for k, columns in chart.columns.items()}
-        assert drawn == kinds
-        assert sum(kinds.values())
-    assert set(told["buttons"]) == {
-        "PanTool", "BoxZoomTool", "ZoomInTool", "ZoomOutTool", "ResetTool", "SaveTool", "HoverTool"
-    }  # fmt: skip
-    assert all(told["pictures"])
-    assert len(told["pictures"]) == (kind == "run")  # the rig
-    assert told["repeated"] == ["contents"]
-    if kind == "sweep":
-        check_pointed(told["points"], charts)
-    assert all(told["focused"])
-    assert len(told["focused"]) > 4
-    if kind == "run":
-        assert told["slid"] == ["0 s", pages["run"].charts["wear-lower"].frames[0]]
-        assert [float(word) for word in told["slid_numbers"]] == told["slid"][1]
-    check_by_hand(told, charts)
-    check_paper(told["widths"], {"run": 0, "sweep": 1, "fit": 1}[kind])
-    if kind == "sweep":
-        up, down = ([float(word) for word in words] for words in told["sorted"])
-        assert len(set(up)) > 10
-        assert up == sorted(up) == down[::-1]
-        assert told["order"] == "descending"
-
-
-def check_pointed(words, charts):
-    """Check that curves and points of cases are named by the case and its keys."""
-    for texts, chart in zip(words, charts, strict=True):
-        lines = chart.columns["lines"]["words"] + chart.columns["asides"]["words"]
-        cases = [text for text, case in zip(texts, chart.columns["points"]["case"], strict=True)
-                 if case >= 0]  # fmt: skip
-        assert cases or any(lines) or chart.columns["bars"]["y"]
-        for text in filter(None, [*lines, *cases]):
-            assert text.startswith("case ")
-            assert "wear coefficient k, lower (1/MPa) = " in text
-
-
-def check_paper(widths, whole):
-    """Check that charts are as wide as A4 has room for, and then as before."""
-    screen, on_paper, after = widths
-    assert sorted(on_paper) == [330] * (len(on_paper) - whole) + [680] * whole
-    assert after == screen
-    assert max(screen) <= 980
-
-
-def check_by_hand(told, charts):
-    """Check tables of the charts' numbers, and what the buttons of the first one do."""
-    (x, y), near, right, up, whole = (np.array(ranges) for ranges in told["ranges"])
-    assert np.allclose(near, [np.mean(v) + 0.25 * np.diff(v) * [-1, 1] for v in (x, y)])
-    assert np.allclose(right, np.add(near, [[0.25 * np.ptp(near[0])], [0.0]]))
-    assert np.allclose(up, np.add(right, [[0.0], [0.25 * (near[1][1] - near[1][0])]]))
-    assert np.allclose(whole, [x, y])
-    assert len(told["numbers"]) == len(charts)
-    for rows, chart in zip(told["numbers"], charts, strict=True):
-        assert all(rows[0])
-        if ends := chart.columns["bars"]["right"]:  # behind curves and points
-            assert [float(row[1]) for row in rows[1:]][-len(ends) :] == ends
-            continue
-        if rows[0][0] == "curve":
-            written = [row[2] for row in rows[1:]]
-        else:  # beside each other
-            written = [row[i] for i in range(1, len(rows[0])) for row in rows[1:]]
-        assert len(written) == len(chart.ordinates)
-        for text, value in zip(written, chart.ordinates, strict=True):
-            assert (text == "") == (not np.isfinite(value))
-            assert not text or np.isclose(float(text), value)
