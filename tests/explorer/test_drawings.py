@@ -41,10 +41,6 @@ def test_figures_hold_the_history(drawn):
     ends = [lines["y"][lines["label"].index(label)] for label in ("case file, end", "200 s")]
     wear = (1e3 * one.result.profiles["wear_lower"][-1] for one in drawn)
     assert all(np.array_equal(*both) for both in zip(ends, wear, strict=True))
-    assert told["wear"]["note"] == "lower solid, upper dashed"
-    top = told["pressure"]["ranges"][1][1]
-    assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
-    assert "peak of" in told["pressure"]["note"]
     json.dumps(told, allow_nan=False)
 
 
@@ -83,7 +79,7 @@ def test_how_far_readings_are_from_the_curve(drawn):
     assert one.quantity == "profile.upper"
     assert one.off(now.result, one.values(now.case, now.result)) == pytest.approx(1e-3)
     (one,) = read_table(b"time_s,mass_upper_mg\n10,1\n", "a.csv", now.case)
-    with pytest.raises(rw.InputError, match="upper.density"):
+    with pytest.raises(rw.InputError, match=r"upper\.density"):
         one.values(now.case, now.result)
 
 

