@@ -320,13 +320,9 @@ COMMANDS = {
     ), solves=True,
         example="ringwear serve case.toml --inputs wear.lower.k load.pressure "
           "--outputs penetration torque@3600"),
-    "laws": Command(
-        "print the rates of a case's wear laws, and test their derivatives",
-        "cases.files.law_trials:check_laws", _CASE, serial=True,
-        example="ringwear laws case.toml --set wear.lower.p0=0"),
     "verify": Command(
-        "compare with reference solutions; print error and observed order of each",
-        "verification.verify:verify", (), solves=True,
+        "check that this installation computes rightly: ten numbers and what they must be",
+        "verify:verify", (), solves=True,
         example="ringwear verify"),
     "info": Command(
         "print versions, MPI and PETSc builds, ranks and threads, or all keys of files",

@@ -159,16 +159,14 @@ def test_a_quiet_end_when_the_reader_leaves():
 
 def test_loaded_code_is_the_code_that_assembles():
     """Otherwise all ranks would compile again, at once, in the middle of the assembly."""
-    program = """
+    program = f"""
 from mpi4py import MPI
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.assembly import load_kernels
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.verification.histories import paper_case
 load_kernels(MPI.COMM_SELF)
 from ringwear_par.elasticity.bem.rows import assemble_rows
 loaded = list(assemble_rows.signatures)
-assemble(paper_case(Mesh(8)), MPI.COMM_SELF)
+rw.assemble(rw.read_case({str(PAPER)!r}, {{"mesh.contact_elements": 8}}), MPI.COMM_SELF)
 assert len(loaded) == 1
 assert list(assemble_rows.signatures) == loaded
 """

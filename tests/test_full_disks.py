@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import h5py
+import killed_sweeps as faults
 import numpy as np
 import pytest
-import try_faults as faults
 from commands import SHELL_ENVIRONMENT
 from paths import CASES, HELPERS, PAPER
 from stored import contents

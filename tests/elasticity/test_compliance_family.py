@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference_cases import paper_case
 
 from ringwear_par.contact.hessians import Hessians
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
@@ -11,7 +12,6 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.bodies import shares_reference
 from ringwear_par.history.elastic.compliances import Compliances
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.verification.histories import paper_case
 
 pytestmark = pytest.mark.serial
 

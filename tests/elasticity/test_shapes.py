@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exact_solutions import contact_modulus
 from paths import CASES, PAPER
+from reference_cases import paper_case
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import parse_case, read_case
@@ -15,8 +17,6 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
-from ringwear_par.verification.histories import paper_case
-from ringwear_par.verification.reference import contact_modulus
 
 pytestmark = pytest.mark.serial
 

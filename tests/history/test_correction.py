@@ -28,7 +28,7 @@ from ringwear_par.wear.laws.threshold import ThresholdLaw
 pytestmark = pytest.mark.serial
 
 CHAMFER = CASES / "chamfer.toml"
-#: of scripts/random_cases.py with seed 1: contact that does not reach the edges, or has a corner
+#: of the random cases with seed 1: contact that does not reach the edges, or has a corner
 NUMBERS = (12, 120, 144)
 
 

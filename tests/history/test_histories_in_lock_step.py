@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from paths import CASES
+from reference_cases import CONTACT, OMEGA, Rings, paper_case, ring_case
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping, Stress
@@ -19,8 +20,6 @@ from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate, simulate_one
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.schedules import Table
-from ringwear_par.verification.fine import CONTACT, Rings, ring_case
-from ringwear_par.verification.histories import OMEGA, paper_case
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw

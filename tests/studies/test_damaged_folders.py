@@ -11,13 +11,13 @@ import zlib
 from dataclasses import replace
 
 import h5py
+import killed_sweeps as faults
 import numpy as np
 import pytest
-import try_faults as faults
 from commands import SHELL_ENVIRONMENT
 from swept import write_study
 
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
 from ringwear_par.studies.execution import (
     case_queue,
     merging,
@@ -448,14 +448,3 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
     assert note.startswith(f"{output / 'results.h5'}: is damaged (kept as results.damaged.h5)")
     run_sweep(changed, output, comm)
     assert [row["status"] for row in faults.table(output)] == ["done"] * 9
-
-
-def test_a_pipe_in_the_place_of_a_shard_or_a_lock(output, swept, comm):
-    path = shard_of(output)
-    path.unlink()
-    os.mkfifo(path)
-    assert read_shard(path) is None
-    (output / "lock").unlink()
-    os.mkfifo(output / "lock")
-    with pytest.raises(InputError, match=r"lock: cannot be opened: it is a pipe or a device"):
-        run_sweep(swept[0], output, comm)

@@ -6,8 +6,8 @@ import subprocess
 import time
 
 import h5py
+import killed_sweeps as faults
 import pytest
-import try_faults as faults
 from commands import SHELL_ENVIRONMENT
 from waiting import STEPS, Waiting
 

@@ -306,16 +306,17 @@ def compliances(
     mesh: Mesh,
     comm: MPI.Comm,
     slopes: Sequence[FloatArray],
+    worn: Sequence[FloatArray | None],
 ) -> list[Compliance]:
-    """Return the compliances of unworn bodies, as ``compliance`` does of one. Collective on comm.
+    """Return the compliances of bodies, as ``compliance`` does of one. Collective on comm.
 
     Ranks share their systems.
     """
     problems = [
-        contact_problem(body, line, mesh, None, slope)
-        for body, slope in zip(bodies, slopes, strict=True)
+        contact_problem(body, line, mesh, wear, slope)
+        for body, wear, slope in zip(bodies, worn, slopes, strict=True)
     ]
-    responses = solve_bodies(problems, comm)
+    responses = solve_bodies(problems, comm) if problems else []
     return [
         condense(problem, response, slope)
         for problem, response, slope in zip(problems, responses, slopes, strict=True)

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.unit_suspicions import unit_suspicions
+from ringwear_par.cases.plausible import implausible_numbers
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import is_at_end, simulate_one
@@ -219,7 +219,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
             observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
         try:
-            with _logging_unit_suspicions(case, path, comm):
+            with _logging_implausible_numbers(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
@@ -236,15 +236,13 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
 
 
 @contextmanager
-def _logging_unit_suspicions(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
-    """Log the suspicious units of a case that fails, but for those that its error names."""
+def _logging_implausible_numbers(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
+    """Log the implausible numbers of a case that fails."""
     try:
         yield
-    except RingwearError as error:
-        if comm.rank == 0:
-            for warning in unit_suspicions(case):
-                if not any(f"{key} = " in str(error) for key in warning.keys):
-                    log.warning("%s: %s", path, warning.text)
+    except RingwearError:
+        for warning in implausible_numbers(case) if comm.rank == 0 else ():
+            log.warning("%s: %s", path, warning.text)
         raise
 
 

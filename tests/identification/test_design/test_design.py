@@ -276,8 +276,6 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     lines = [f"{key} = {toml_value(value)}" for key, value in tables().items()]
     source.write_text("\n".join(lines) + "\n")
     (tmp_path / "next").mkdir()
-    for name in ("design.png", "next.toml", "design.json"):  # of one that was killed
-        (tmp_path / f"next/{name}.tmp0123456789abcdef").write_text("half")
 
     def killed(*_, **__):
         raise Stopped(signal.SIGTERM)
