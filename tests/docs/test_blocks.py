@@ -14,6 +14,7 @@ import os
 import re
 import shlex
 import shutil
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,6 @@ from paths import ROOT
 
 import ringwear_par as rw
 from ringwear_par.cli import main
-from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.measuring.definition.measure_file import read_measure
 
@@ -33,7 +33,8 @@ BLOCK = re.compile(
     r"^```(?P<language>python|bash|toml|text)\n(?P<code>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
 PAGES = [page for page in PAGES if BLOCK.search(page.read_text("utf-8"))]
 #: what needs a network, a cluster or a set-up, waits for somebody, or is tested as a whole
 LEFT_OUT = r"(bash|pip|source|ssh|srun|PETSC_DIR=\S+|ringwear explore|ringwear verify)(?!\S)"
@@ -100,7 +101,7 @@ def run_python(code, names, where):
 
 def read_tables(code, scripts):
     """Read a block of TOML as the commands read it."""
-    tables = parse_toml(code, "block")
+    tables = tomllib.loads(code)
     kinds = {"fit": "fit", "experiment": "fit", "compare": "fit", "measure": "measure"}
     kind = next((kinds[name] for name in kinds if name in tables), "cases")
     file = scripts / kind / "block.toml"
@@ -110,7 +111,7 @@ def read_tables(code, scripts):
         file.write_text(f"{before}\n{code}", "utf-8")
         read_fit(file)
     elif "design" in tables and "vary" not in tables:
-        plan = parse_toml((scripts / "fit/plan.toml").read_text("utf-8"), "plan.toml")
+        plan = tomllib.loads((scripts / "fit/plan.toml").read_text("utf-8"))
         read_fit({**plan, **tables, "case": str(scripts / "cases/paper.toml")}, plans=True)
     else:
         file.write_text(code, "utf-8")
@@ -124,7 +125,7 @@ def read_tables(code, scripts):
 
 def completed(tables, cases):
     """Return a whole case that has the tables of a block, each as it is."""
-    base = parse_toml((cases / "paper.toml").read_text("utf-8"), "paper.toml")
+    base = tomllib.loads((cases / "paper.toml").read_text("utf-8"))
     case = {**base, **tables}
     for ring in {"lower", "upper"} & tables.keys():
         case[ring] = {**base[ring], **tables[ring]}
