@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ringwear_par.verification.histories import paper_case
 
 import ringwear_par as rw
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.petsc import PETSc
-from ringwear_par.verification.histories import paper_case
 
 #: ranks share little here: rank 0 reads and writes
 pytestmark = pytest.mark.serial

@@ -42,7 +42,7 @@ def dotted(tables, prefix=""):
     keys = {}
     for name, value in tables.items():
         path = f"{prefix}{name}"
-        whole = not isinstance(value, dict) or set(value) <= {"r"} and "." in path
+        whole = not isinstance(value, dict) or (set(value) <= {"r"} and "." in path)
         keys |= {path: value} if whole or not value else dotted(value, f"{path}.")
     return keys
 
