@@ -170,10 +170,12 @@ run_sweep(*map(Path, sys.argv[1:]), MPI.COMM_SELF)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     before = faults.done_before(tmp_path / "out")
     run_sweep(study, tmp_path / "out", comm)
+    for half_written in (tmp_path / "out").glob(".*.tmp"):
+        half_written.unlink()
     assert not faults.differences(tmp_path / "out", reference)
     after = faults.seconds_by_id(tmp_path / "out")
     assert all(after[identity] == seconds for identity, seconds in before.items())
-    left = {path.name for path in (tmp_path / "out").rglob("*") if path.suffix != ".tmp"}
+    left = {path.name for path in (tmp_path / "out").rglob("*")}
     assert left == {path.name for path in reference.rglob("*")}
 
 
