@@ -309,16 +309,12 @@ def test_a_run_with_little_stored_has_a_page(tmp_path):
 @pytest.mark.parametrize(
     ("source", "output", "words"),
     [
-        ("run.h5", "page.pdf", "page.pdf: its ending must be one of .html, .htm"),
-        ("run.h5", "away/page.html", "its folder"),
-        ("nothing.h5", "page.html", "nothing.h5: does not exist; must be a result file"),
-        ("paper.toml", "page.html", "paper.toml: is a case file; ringwear run computes it"),
-        ("empty", "page.html", "empty: holds none of fit.json, design.json, measure"),
-        ("rough", "page.html", "measure.json: is not the outcome of ringwear measure, or is dam"),
-        ("torn", "page.html", "design.json: is not the outcome of ringwear design, or is damaged"),
-        ("broken", "page.html", "fit.json: is not the outcome of ringwear fit, or is damaged"),
+        ("run.h5", "page.pdf", ".html"), ("run.h5", "away/page.html", "folder"),
+        ("nothing.h5", "page.html", "nothing.h5"), ("paper.toml", "page.html", "ringwear run"),
+        ("empty", "page.html", "fit.json"), ("rough", "page.html", "damaged"),
+        ("torn", "page.html", "damaged"), ("broken", "page.html", "damaged"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_is_refused(source, output, words, folder, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
