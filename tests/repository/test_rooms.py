@@ -1,13 +1,10 @@
 """The rooms: which may import which, and what stays light."""
 
 import ast
-import re
 
 import pytest
 from commands import python
 from paths import CASES, ROOT
-
-import ringwear_par as rw
 
 HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.bem.assembly")
 
@@ -102,10 +99,3 @@ rw.sweep(rw.read_study(study), folder)
     result = python("-c", program, *names)
     assert result.returncode == 0, result.stderr
     return names
-
-
-def test_type_checkers_see_the_names_that_are_loaded_when_used():
-    stub = (ROOT / "ringwear_par" / "__init__.pyi").read_text("utf-8")
-    modules = {name: module for module, name in re.findall(r"from (\S+) import (\w+) as", stub)}
-    assert modules.pop("__version__") == "ringwear_par.version"
-    assert modules == {name: f"ringwear_par.{module}" for name, module in rw._PUBLIC.items()}

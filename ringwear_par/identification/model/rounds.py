@@ -143,7 +143,7 @@ class Rounds(Histories):
             if comm.rank == 0:
                 self._leads = True
                 try:
-                    with closing(Progress()) as self._progress:
+                    with closing(Progress(pause=0.0)) as self._progress:
                         content = pickle.dumps(job(), pickle.HIGHEST_PROTOCOL)
                 finally:
                     self._leads, self._progress = False, None

@@ -9,9 +9,8 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 
-#: wall seconds between lines where there is no terminal, and between updates of a bar
+#: wall seconds between lines where there is no terminal
 PROGRESS_SECONDS = 10.0
-_BAR_SECONDS = 0.2
 
 
 class Progress:
@@ -21,11 +20,13 @@ class Progress:
     ----------
     total : of a bar; None: no bar, only a text.
     start : done before.
+    pause : s, between updates of a bar.
     """
 
-    def __init__(self, total: float | None = None, start: float = 0.0) -> None:
+    def __init__(self, total: float | None = None, start: float = 0.0, pause: float = 0.2) -> None:
         self._begun = self._last = time.perf_counter()
         self._bar: Any = None
+        self._pause = pause if sys.stderr.isatty() else PROGRESS_SECONDS
         if sys.stderr.isatty():
             from tqdm import tqdm  # slow to import
 
@@ -36,8 +37,7 @@ class Progress:
 
     def is_due(self) -> bool:
         """Tell whether to show something by now."""
-        pause = PROGRESS_SECONDS if self._bar is None else _BAR_SECONDS
-        return time.perf_counter() - self._last > pause
+        return time.perf_counter() - self._last > self._pause
 
     def show(self, reached: float, text: str, *numbers: Any) -> None:
         """Show a text, formatted with numbers, and how much is done, if it is due."""
@@ -48,7 +48,8 @@ class Progress:
             log.info(text, *numbers)
         else:
             self._bar.set_description_str(text % numbers, refresh=False)
-            self._bar.update(reached - self._bar.n)
+            self._bar.n = reached
+            self._bar.refresh()
 
     def close(self) -> None:
         """Remove the bar."""
