@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RingwearError as error:
         return _end(comm, str(error), error.exit_status, error)
     except KeyboardInterrupt as error:
-        return _end(comm, f"stopped by {error or 'KeyboardInterrupt'}", 1)
+        return _end(comm, f"stopped by {str(error) or 'a KeyboardInterrupt'}", 1)
     except (OSError, MemoryError) as error:
         with suppress(OSError):  # Python would try again at its end to print what is left
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

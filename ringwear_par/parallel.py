@@ -154,9 +154,4 @@ def warn_of_threads(ranks: int) -> None:
 
 def peak_memory() -> float:
     """Return the most memory that this process has held, bytes. Not collective."""
-    try:  # what getrusage tells begins with the memory of whoever started the process
-        with open("/proc/self/status", encoding="utf-8") as file:
-            (line,) = (line for line in file if line.startswith("VmHWM:"))
-        return 1024.0 * float(line.split()[1])
-    except (OSError, ValueError):
-        return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from laboratory import fit_tables, write_tests
-from petsc4py import PETSc
 
 from ringwear_par.cli import main
 from ringwear_par.files.text import toml_value
@@ -63,20 +62,3 @@ def test_what_no_reading_tells_is_refused_and_nothing_written(write, ringwear):
     assert said in told
     assert told.count(said) == 1
     assert (np.array(sorted(p.name for p in Path().iterdir())) == before).all()
-
-
-@pytest.mark.serial
-def test_options_that_nobody_reads_are_refused(write, ringwear):
-    write(lambda tables: None)
-    options = PETSc.Options()
-    options["identify_nonsense"] = "1"
-    try:
-        status, told = ringwear("fit.toml", "-o", "out")
-    finally:
-        options.delValue("identify_nonsense")
-    assert status == 2
-    assert "-identify_nonsense: no solver" in told
-    assert not Path("out/fit.json").exists()
-    status, told = ringwear("fit.toml", "-o", "out", "--restart")  # starts were not lost
-    assert status == 0, told
-    assert Path("out/fit.json").exists()

@@ -7,33 +7,49 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ringwear_par.history.snapshots import Snapshot
-
 log = logging.getLogger(__name__)
 
-#: wall seconds between lines where there is no terminal, and between looks of a bar of a sweep
+#: wall seconds between lines where there is no terminal
 PROGRESS_SECONDS = 10.0
-_BAR_SECONDS = 0.2
 
 
-class _Progress:
-    """A bar of tqdm on a terminal, None elsewhere."""
+class Progress:
+    """Shows how much is done, where the last time is long enough ago.
 
-    def __init__(self, **bar: Any) -> None:
+    Parameters
+    ----------
+    total : of a bar; None: no bar, only a text.
+    start : done before.
+    pause : s, between updates of a bar.
+    """
+
+    def __init__(self, total: float | None = None, start: float = 0.0, pause: float = 0.2) -> None:
         self._begun = self._last = time.perf_counter()
         self._bar: Any = None
+        self._pause = pause if sys.stderr.isatty() else PROGRESS_SECONDS
         if sys.stderr.isatty():
             from tqdm import tqdm  # slow to import
 
-            self._bar = tqdm(leave=False, **bar)
+            form = "{desc} [{elapsed}]" if total is None else "{desc} {bar} [{elapsed}<{remaining}]"
+            self._bar = tqdm(
+                total=total, initial=start, leave=False, smoothing=0.0, bar_format=form
+            )
 
-    def _is_due(self) -> bool:
-        """Tell whether the last time that it was is long enough ago."""
-        now = time.perf_counter()
-        if now - self._last <= (PROGRESS_SECONDS if self._bar is None else _BAR_SECONDS):
-            return False
-        self._last = now
-        return True
+    def is_due(self) -> bool:
+        """Tell whether to show something by now."""
+        return time.perf_counter() - self._last > self._pause
+
+    def show(self, reached: float, text: str, *numbers: Any) -> None:
+        """Show a text, formatted with numbers, and how much is done, if it is due."""
+        if not self.is_due():
+            return
+        self._last = time.perf_counter()
+        if self._bar is None:
+            log.info(text, *numbers)
+        else:
+            self._bar.set_description_str(text % numbers, refresh=False)
+            self._bar.n = reached
+            self._bar.refresh()
 
     def close(self) -> None:
         """Remove the bar."""
@@ -41,36 +57,8 @@ class _Progress:
             self._bar.close()
 
 
-class RunProgress(_Progress):
-    """Observer that shows the time simulated.
-
-    Parameters
-    ----------
-    start : s, time simulated before.
-    end : s.
-    """
-
-    def __init__(self, start: float, end: float) -> None:
-        form = "{l_bar}{bar}| {n:.4g}/{total:.4g} s simulated [{elapsed}<{remaining}]"
-        super().__init__(total=end, initial=start, bar_format=form)
-        self._end = end
-
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Show how far a state is. Not collective."""
-        reached = float(snapshot.state.time[0])
-        if self._bar is not None:
-            self._bar.update(reached - self._bar.n)
-        elif self._is_due():
-            log.info(
-                "step %d, time %.6g of %.6g s, approach %.6f mm",
-                snapshot.progress.steps[0], reached, self._end,
-                snapshot.state.contact.approach[0],
-            )  # fmt: skip
-        return False
-
-
-class SweepProgress(_Progress):
-    """Observer that shows cases done and failed, rate and time left.
+class SweepProgress(Progress):
+    """Shows cases done and failed, rate and time left.
 
     Parameters
     ----------
@@ -82,45 +70,20 @@ class SweepProgress(_Progress):
     def __init__(
         self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]]
     ) -> None:
-        super().__init__(total=total, initial=done + failed, unit="case", smoothing=0.0)
+        super().__init__(total, done + failed)
         self._before, self._total, self._ended = (done, failed), total, ended
 
-    def __call__(self, snapshot: Snapshot | None = None) -> bool:
-        """Show how far the sweep is, if the last time is long enough ago."""
-        if not self._is_due():
-            return False
-        done, failed = self._ended()
-        ended, failures = done + failed + sum(self._before), failed + self._before[1]
-        if self._bar is not None:
-            self._bar.set_postfix_str(f"{failures} failed", refresh=False)
-            self._bar.update(ended - self._bar.n)
-            return False
-        rate = (done + failed) / (self._last - self._begun)
-        log.info(
-            "%d of %d cases ended, %d failed, %.3g a second, %s left", ended, self._total,
-            failures, rate, duration((self._total - ended) / rate if rate else math.inf),
-        )  # fmt: skip
-        return False
-
-
-class FitProgress(_Progress):
-    """Shows how many histories a fit has had computed, and what it does."""
-
-    def __init__(self) -> None:
-        bar = "{desc}{n_fmt} histories [{elapsed}, {rate_noinv_fmt}]"
-        super().__init__(smoothing=0.0, bar_format=bar)
-
-    def __call__(self, histories: int) -> None:
-        """Show how many there are by now; on a terminal only."""
-        if self._bar is not None:
-            self._bar.update(histories - self._bar.n)
-
-    def tell(self, state: str) -> None:
-        """Print the state of the fit; without a terminal now and then."""
-        if self._bar is not None:
-            self._bar.set_description(state)
-        elif self._is_due():
-            log.info("%s", state)
+    def __call__(self) -> None:
+        """Show how far the sweep is, if it is due."""
+        if self.is_due():
+            done, failed = self._ended()
+            ended = done + failed + sum(self._before)
+            rate = (done + failed) / (time.perf_counter() - self._begun)
+            self.show(
+                ended, "%d of %d cases ended, %d failed, %.3g a second, %s left", ended,
+                self._total, failed + self._before[1], rate,
+                duration((self._total - ended) / rate if rate else math.inf),
+            )  # fmt: skip
 
 
 def duration(seconds: float) -> str:

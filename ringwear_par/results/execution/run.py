@@ -6,6 +6,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from ringwear_par.history.loop import is_at_end, simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare
-from ringwear_par.results.execution.progress import RunProgress
+from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stop_signals import StopSignals, name_of
 from ringwear_par.results.result import Result
@@ -216,7 +217,8 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
     with ExitStack() as resources:
         if comm.rank == 0:
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
-            observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
+            progress = resources.enter_context(closing(Progress(case.time.end, since)))
+            observers.append(partial(_show, progress, case.time.end))
         try:
             with _logging_implausible_numbers(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
@@ -232,6 +234,16 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
                 f"{path}: {error}. {file.path} holds the steps before it: ringwear plot and "
                 "report show how it came to that"
             ) from error
+
+
+def _show(progress: Progress, end: float, snapshot: Snapshot) -> bool:
+    """Show how far a history is: an observer."""
+    time = float(snapshot.state.time[0])
+    progress.show(
+        time, "step %d, time %.6g of %.6g s, approach %.6f mm",
+        snapshot.progress.steps[0], time, end, snapshot.state.contact.approach[0],
+    )  # fmt: skip
+    return False
 
 
 @contextmanager

@@ -4,7 +4,6 @@ import copy
 import itertools
 import json
 import pickle
-import signal
 import tomllib
 from dataclasses import replace
 
@@ -20,7 +19,6 @@ from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.test_design.candidates import candidates
 from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_folder import FILES, next_tests
-from ringwear_par.results.execution.stop_signals import Stopped
 
 pytestmark = pytest.mark.serial
 
@@ -271,11 +269,11 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     (tmp_path / "next").mkdir()
 
     def killed(*_, **__):
-        raise Stopped(signal.SIGTERM)
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patches:
         patches.setattr(Figure, "savefig", killed)
-        with pytest.raises(Stopped):
+        with pytest.raises(KeyboardInterrupt):
             run_design(source, tmp_path / "next", comm)
     assert not list((tmp_path / "next").iterdir())
     run_design(source, tmp_path / "next", comm)
