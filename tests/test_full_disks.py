@@ -5,21 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-<<<<<<< HEAD
-import h5py
-import killed_sweeps as faults
-import numpy as np
-import pytest
-from commands import SHELL_ENVIRONMENT
-from paths import CASES, HELPERS, PAPER
-from stored import contents
-=======
 import numpy as np
 import pytest
 from commands import RINGWEAR, SHELL_ENVIRONMENT, sentences
 from paths import PAPER
 from swept import variables, write_study
->>>>>>> storage
 
 import ringwear_par as rw
 from ringwear_par.results.execution import run as run_command
@@ -98,9 +88,4 @@ def test_standard_output():
             timeout=100, check=False,
         )  # fmt: skip
     assert result.returncode == 1
-<<<<<<< HEAD
-    assert result.stderr.startswith("ringwear: ")
-    assert result.stderr.endswith("No space left on device\n")
-=======
     assert "No space left on device" in result.stderr
->>>>>>> storage
