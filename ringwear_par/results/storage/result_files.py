@@ -36,8 +36,7 @@ _TEXTS = {
 }  # fmt: skip
 _NUMBERS = {
     "ranks", "time_step", "time_steps", "time_end", "symmetry_defect", "energy_identity",
-    "step_error_time", "closing_contact", "friction", "omega", "angle", "nominal_area",
-    "mean_radius",
+    "closing_contact", "friction", "omega", "angle", "nominal_area", "mean_radius",
     "balance_force", "balance_torque", "balance_reaction", "balance_volume", "balance_energy",
     "balance_residual",
 }  # fmt: skip
