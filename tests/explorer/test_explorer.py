@@ -47,16 +47,6 @@ profiles = "last"
 """
 
 
-@pytest.fixture
-def explored(tmp_path, comm):
-    def explored(text, *overrides):
-        path = tmp_path / "case.toml"
-        path.write_text(text)
-        return Exploration(raw_keys(path, list(overrides)), str(path), comm)
-
-    return explored
-
-
 def same(found, case):
     """Whether a history has the very numbers of rw.simulate at the end and in between.
 
@@ -107,8 +97,10 @@ def test_the_text_taken_home_gives_the_same_numbers(name, tmp_path, comm):
         assert control.step > 0
 
 
-def test_numbers_stay_in_the_units_of_the_user(explored):
-    exploration = explored(RIG)
+def test_numbers_stay_in_the_units_of_the_user(tmp_path, comm):
+    path = tmp_path / "case.toml"
+    path.write_text(RIG)
+    exploration = Exploration(raw_keys(path, []), str(path), comm)
     told = {name: (c.value, c.unit) for name, c in exploration.controls.items()}
     assert told["load.omega"] == (30.0, "rpm")
     assert told["wear.lower.k"] == (1e-5, "mm3/(N m)")

@@ -1,6 +1,5 @@
 """The explorer's page without a browser: requests, faults, answers."""
 
-import base64
 import json
 
 import pytest
@@ -12,7 +11,6 @@ from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import Page
 
 pytestmark = pytest.mark.serial
-
 
 SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 
@@ -49,11 +47,6 @@ class Visited:
         request = {"n": n, "instant": 1.0, "menu": "torque", "values": values, "pinned": pinned}
         self.talk.request = json.dumps(request)
 
-    def give(self, name, table):
-        """Lay a table over the history."""
-        content = base64.b64encode(table).decode()
-        self.talk.table = json.dumps({"name": name, "content": content})
-
 
 def test_a_page_computes_the_last_request_and_goes_on_after_faults(comm):
     visited = Visited(comm)
@@ -86,41 +79,17 @@ def test_a_page_computes_the_last_request_and_goes_on_after_faults(comm):
     assert told["faults"] == []
 
 
-def test_malformed_requests_are_answered_by_a_sentence(comm, caplog):
+def test_malformed_requests_are_answered_by_a_sentence(comm):
     visited = Visited(comm)
     visited.work()
     good = {"n": 1, "instant": 1.0, "menu": "torque", "values": {}}
-    for request in ("{", "[" * 100000, "[]", "{}", *(
-        json.dumps({**good, key: value})
-        for key, value in (("n", None), ("instant", "x"), ("values", {"a": 1}), ("menu", []),
-                           ("pinned", 3), ("pinned", {"a": None}))
-    )):  # fmt: skip
+    for request in ("{", "[" * 100000, "{}", json.dumps({**good, "values": {"a": 1}})):
         visited.talk.answer = ""
         visited.talk.request = request
         assert "cannot be read" in visited.told["faults"][0]
-    for order in ("{", "[]", '{"order": 3}', '{"order": "stop"}'):
-        visited.talk.order = order
     visited.talk.table = json.dumps({"number": "x"})
     assert "no table" in visited.told["laid_fault"]
     assert not visited.tasks
-    assert caplog.text == ""
-
-
-def test_faults_stay_until_numbers_can_be_computed(comm):
-    visited = Visited(comm)
-    visited.work()
-    visited.ask(1, **{"contact.friction": "x"})
-    told = visited.work()
-    said = told["faults"]
-    assert (told["n"], len(said), told["controls"]) == (1, 1, {})
-    visited.give("a.csv", b"time_s,penetration_um\n1,2\n")  # is no answer, and changes no number
-    told = visited.told
-    assert (told["n"], told["faults"], told["controls"]) == (None, said, {})
-    assert [column["column"] for column in told["laid"]] == ["penetration_um"]
-    visited.ask(2)
-    told = visited.work()
-    assert (told["n"], told["faults"]) == (2, [])
-    assert told["controls"]
 
 
 def test_a_pinned_variant_stands_beside_the_present_one(comm):
