@@ -5,8 +5,6 @@ import pytest
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_others
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.mark.parametrize(
     ("name", "command", "refused"),

@@ -31,8 +31,6 @@ from ringwear_par.identification.fit_command import run_fit
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.results.execution.stop_signals import StopSignals
 
-pytestmark = pytest.mark.serial
-
 
 def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, monkeypatch):
     """And does not need it, as the fit does."""
@@ -110,8 +108,7 @@ def test_what_is_written(written, comm, capsys):
             to_k = stored["sensitivity"].sel(parameter="wear.lower.k")
             assert to_k.dims == ("reading",)
             assert stored["data"].attrs["units"] == "mm"
-    if comm.rank == 0:
-        check_exported(folder, told, chi2)
+    check_exported(folder, told, chi2)
 
 
 def check_exported(folder, told, chi2):
