@@ -186,9 +186,10 @@ def restarted(shared_path, comm, stopped_after):
 @pytest.fixture(scope="session")
 def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
+    from reference_cases import paper_case
+
     from ringwear_par.elasticity.mesh import Mesh
     from ringwear_par.history.elastic.pairs import assemble
-    from ringwear_par.verification.histories import paper_case
 
     case = paper_case(Mesh())
     return case, assemble(case, comm)

@@ -4,13 +4,12 @@ import re
 from dataclasses import dataclass, fields, replace
 
 import pytest
-from paths import CASES, PAPER
+from paths import PAPER
 
-from ringwear_par.cases.files.law_trials import check_laws
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import BY_PATH, KEYS
 from ringwear_par.cases.tables import key_table
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import InputError
 from ringwear_par.wear.law import parameters_of
 from ringwear_par.wear.laws import LAWS
 from ringwear_par.wear.laws.running_in import RunningInLaw
@@ -89,25 +88,3 @@ def test_numbers_of_running_in_from_python_are_refused_as_those_of_files():
     RunningInLaw(k=2e-7, k_start=2e-7, depth=1.0)
     with pytest.raises(InputError, match=r"^k_start = 1e-07: must be at least k = 2e-07$"):
         RunningInLaw(k=2e-7, k_start=1e-7, depth=1.0)
-
-
-def test_ringwear_laws_refuses_a_wrong_depth_of_a_step(monkeypatch, capsys):
-    right = RunningInLaw.depth_in_step
-    monkeypatch.setattr(RunningInLaw, "depth_in_step", lambda *state: right(*state) * (1.0 + 1e-11))
-    with pytest.raises(ComputationError, match=r"2 derivative.* or depths of steps .* not those"):
-        check_laws(CASES / "running_in.toml", ["wear.lower.k_start=4e-8", "wear.lower.k=4e-8"])
-    assert "FAIL depth of an implicit step of 1 s, t = 0 s, 0 mm worn" in capsys.readouterr().out
-
-
-@pytest.mark.serial
-def test_ringwear_laws_tells_formulas_and_tests_parameters(capsys):
-    check_laws(CASES / "running_in.toml", [])
-    said = capsys.readouterr().out
-    assert "lower: (k + (k_start - k) exp(-s)) mu max(0, p - p0) V" in said
-    for name in ("k", "k_start", "p0", "depth"):
-        assert f"ok   derivative of the rate with respect to {name}, " in said
-    for worn in ("0", "0.001"):
-        assert f"ok   derivative of the rate with respect to worn depth, t = 0 s, {worn} mm" in said
-        assert f"ok   depth of an implicit step of 1 s, t = 0 s, {worn} mm worn: " in said
-    check_laws(CASES / "user_law.toml", [])
-    assert "respect to parameters.p1, t = 0 s" in capsys.readouterr().out

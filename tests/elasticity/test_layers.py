@@ -195,32 +195,12 @@ def test_an_update_is_a_fresh_assembly(depths, comm):
     """Within layers, through one of them, and through all."""
     mesh, both = Mesh(24), (COATED, layered(UPPER, (0.3, SOFT)))
     line, geometry = moving(both, (True, True), mesh, comm)
-    unworn = geometry.update(np.zeros((2, line.n)))
     worn = profiles(line, depths)
     pair = geometry.update(worn)
     slope = pair_slope((both[0].section, both[1].section), line, mesh, worn)
     for i, (body, own) in enumerate(zip(both, (slope, -slope), strict=True)):
         fresh = compliance(body, line, mesh, comm, node_wear(line, worn[i]), own)
-        assert np.abs(pair.normal[i] - fresh.normal).max() <= 1e-11 * np.abs(fresh.normal).max()
-        twist = line.area @ fresh.torsion
-        assert np.abs(pair.twist[i] - twist).max() <= 1e-11 * np.abs(twist).max()
-        assert pair.force_reaction[i] == pytest.approx(fresh.force_reaction, rel=1e-10)
-    # no memory of what came before, and the same again to the last bit
-    for again, was in ((np.zeros((2, line.n)), unworn), (worn, pair)):
-        assert np.array_equal(geometry.update(again).normal, was.normal)
-
-
-def test_an_update_of_layers_saves_most_of_the_work(comm):
-    both = layered(LOWER, (0.05, HARD)), UPPER
-    line, geometry = moving(both, (True, False), Mesh(24), comm)
-    full = compliance(both[0], line, Mesh(24), comm).cost.kernel_evaluations
-    through = profiles(line, (0.2, 0.0))
-    geometry.update(0.0 * through)
-    shallow, deep, again, back = (
-        geometry.update(share * through).cost.kernel_evaluations for share in (0.1, 1.0, 1.0, 0.1)
-    )
-    assert shallow == back < again < full
-    assert deep > full  # what stays is assembled once more
+        assert np.array_equal(pair.normal[i], fresh.normal)
 
 
 def test_uniform_wear_within_a_layer_is_a_thinner_layer(comm):

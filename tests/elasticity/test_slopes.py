@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from paths import CASES
+from reference_cases import SORTS, Rings, ring_case
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import condense, contact_problem, solve_bodies
@@ -22,7 +23,6 @@ from ringwear_par.elasticity.stress.fields import FACES
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
 from ringwear_par.history.start import first_contact
-from ringwear_par.verification.fine import SORTS, Rings, ring_case
 
 pytestmark = pytest.mark.serial
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_steps import change_steps
+from reference_cases import OMEGA
 
 from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.errors import ComputationError
@@ -14,7 +15,6 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
 from ringwear_par.schedules import Table, integral
-from ringwear_par.verification.histories import OMEGA
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw

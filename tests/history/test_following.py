@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paths import PAPER
+from reference_cases import paper_case, round_face
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
@@ -16,7 +17,6 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.cases import check_mesh
 from ringwear_par.history.start import initial_state
-from ringwear_par.verification.histories import paper_case, round_face
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.serial

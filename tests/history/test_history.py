@@ -71,16 +71,6 @@ def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
         )  # um; the paper's curves end near 18, 10
 
 
-def test_steady_pressure_at_2000_s(stepped):
-    history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 5.0, 400))
-    line, case = history.physics.line, history.physics.case
-    c = case.load.force / (2 * np.pi * 3.0)
-    p = states[-1].contact.pressure
-    assert np.abs(p * line.r / c - 1)[1:-1].max() < 1e-3
-    rate = (states[-1].contact.approach - states[-2].contact.approach) / 5.0
-    assert rate == pytest.approx(case.friction * 1e-7 * case.load.omega * c, rel=1e-4)
-
-
 def test_fixed_approach_unloads(stepped):
     load = Load(85 / 24, displacement=0.0585)
     _, states = stepped(load=load, wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 20.0, 50))
@@ -94,8 +84,9 @@ def test_fixed_approach_unloads(stepped):
 
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
+    from reference_cases import paper_case
+
     from ringwear_par.elasticity.mesh import Mesh
-    from ringwear_par.verification.histories import paper_case
 
     case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))
     from mpi4py import MPI
@@ -179,13 +170,11 @@ def test_twist_of_the_upper_ring_alone(paper_pair, comm):
     """On a rigid lower body, traction proportional to r turns a hollow cylinder by T h/(G J)."""
     from dataclasses import replace
 
-    from ringwear_par.verification.reference import polar_moment
-
     case = replace(paper_pair[0], lower=replace(paper_pair[0].lower, young=1e15))
     pair = assemble(case, comm)
     line = pair.line
     torque = (line.area * line.arm) @ line.r
-    angle = torque * 20.0 / (case.upper.young / 2.6 * polar_moment(28.5, 31.5))
+    angle = torque * 20.0 / (case.upper.young / 2.6 * 0.5 * np.pi * (31.5**4 - 28.5**4))
     assert pair.compliance(young(case)).twist @ line.r == pytest.approx(
         angle * (line.area @ line.r) / line.area.sum(), rel=1e-3
     )

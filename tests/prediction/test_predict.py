@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 
 import numpy as np
@@ -144,26 +145,15 @@ def test_what_is_refused(found, case, tmp_path):
     (design / "design.json").write_text("{}")
     (interrupted / "progress").mkdir(parents=True)
     other = case.replace({"wear.lower.law": "archard", "wear.lower.p0": None})
-    for found_, case_, options, said in (
-        (tmp_path, case, {}, "holds no fit.json; must be the folder of a fit"),
-        (tmp_path / "none", case, {}, "does not exist"),
-        (design, case, {}, "holds a design of tests, but no fit"),
-        (interrupted, case, {}, "was interrupted (ringwear fit --restart completes it)"),
-        (folder, tmp_path / "no.toml", {}, "no.toml"),
-        (
-            folder,
-            other,
-            {},
-            'wear.lower.law is "archard": must be "threshold", of which the fit found wear.lower.k',
-        ),
-        (fit, case, {"of": "S9"}, '"material" or one of "test 1", "test 2"'),
-        (fit, case, {"draws": 0}, "draws = 0: must be a whole number >= 1"),
-        (fit, case, {"seed": -1}, "seed = -1"),
-        ({}, case, {}, "fit: a fit or its folder is needed, not dict"),
-    ):
-        with pytest.raises(InputError) as error:
-            rw.predict(found_, case_, comm=MPI.COMM_SELF, **options)
-        assert said in str(error.value)
+    for source, case_, options, said in (
+        (tmp_path, case, {}, "fit.json"), (tmp_path / "none", case, {}, "exist"),
+        (design, case, {}, "design"), (interrupted, case, {}, "interrupted"),
+        (folder, tmp_path / "no.toml", {}, "no.toml"), (folder, other, {}, "wear.lower.law"),
+        (fit, case, {"of": "S9"}, '"test 1", "test 2"'), (fit, case, {"draws": 0}, "draws"),
+        (fit, case, {"seed": -1}, "seed"), ({}, case, {}, "dict"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=re.escape(said)):
+            rw.predict(source, case_, comm=MPI.COMM_SELF, **options)
 
 
 @pytest.mark.parametrize(
@@ -176,9 +166,8 @@ def test_a_fit_that_was_edited_is_refused(found, case, tmp_path, entry, nonsense
     place = outcome if entry in outcome else next(iter(outcome["parameters"].values()))
     place[entry] = nonsense
     (folder / "fit.json").write_text(json.dumps(outcome))
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match="damaged"):
         rw.predict(folder, case, comm=MPI.COMM_SELF)
-    assert str(error.value).endswith("fit.json: is not the outcome of a fit, or is damaged")
 
 
 def test_names_tell_laws_of_layers_and_users_apart(case, tmp_path):
@@ -218,4 +207,4 @@ def test_the_command(found, tmp_path, capsys):
     assert "case.toml -o DIR --of" in (tmp_path / "page.html").read_text()
     assert main([*words, str(folder)]) == 2
     (sentence,) = capsys.readouterr().err.splitlines()
-    assert sentence.endswith("is the folder of ringwear fit (fit.json); must be another, or new")
+    assert "fit.json" in sentence

@@ -1,11 +1,9 @@
 """Sweeps: the numbers of single runs, one assembly for many cases, extension and resumption."""
 
-import json
 import re
 import shutil
 import tomllib
 from functools import partial
-from importlib.util import find_spec
 
 import h5py
 import numpy as np
@@ -120,29 +118,6 @@ def test_opens_lazily_in_xarray_with_coordinates(known, comm):
         assert data.sel(case=str(first.case.values)).penetration[-1] == first.penetration[-1]
         assert data.pressure.attrs["units"] == "MPa"
         assert list(data.step.values) == list(range(21))
-
-
-@pytest.mark.serial
-def test_units_of_the_table_stand_beside_it(known):
-    rows = table(known)
-    told = json.loads((known / "cases.csv-metadata.json").read_text())
-    columns = {column["titles"]: column for column in told["tableSchema"]["columns"]}
-    assert told["url"] == "cases.csv"
-    assert list(columns) == list(rows[0])
-    units = {name: column.get("schema:unitText") for name, column in columns.items()}
-    assert units["wear.lower.k"] == "1/MPa"
-    assert units["penetration"] == "mm"
-    assert units["worn_volume_lower"] == "mm3"
-    assert units["status"] is None
-    if find_spec("pyarrow") is None:
-        return
-    from pyarrow import parquet
-
-    whole = parquet.read_table(known / "cases.parquet")
-    assert whole.column_names == list(columns)
-    assert whole["case"].to_pylist() == [row["case"] for row in rows]
-    assert whole["penetration"].to_pylist() == [float(row["penetration"]) for row in rows]
-    assert whole.schema.field("penetration").metadata[b"unitText"] == b"mm"
 
 
 def test_five_geometries_cost_five_assemblies(write, shared_path, comm, monkeypatch):

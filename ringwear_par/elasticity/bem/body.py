@@ -296,8 +296,7 @@ def compliance(
 
     Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
     """
-    problem = contact_problem(body, line, mesh, worn, slope)
-    return condense(problem, solve_bodies([problem], comm)[0], slope)
+    return compliances([body], line, mesh, comm, [slope], [worn])[0]
 
 
 def compliances(
@@ -305,17 +304,18 @@ def compliances(
     line: ContactLine,
     mesh: Mesh,
     comm: MPI.Comm,
-    slopes: Sequence[FloatArray],
+    slopes: Sequence[FloatArray | None],
+    worn: Sequence[FloatArray | None],
 ) -> list[Compliance]:
-    """Return the compliances of unworn bodies, as ``compliance`` does of one. Collective on comm.
+    """Return the compliances of bodies, as ``compliance`` does of one. Collective on comm.
 
     Ranks share their systems.
     """
     problems = [
-        contact_problem(body, line, mesh, None, slope)
-        for body, slope in zip(bodies, slopes, strict=True)
+        contact_problem(body, line, mesh, wear, slope)
+        for body, wear, slope in zip(bodies, worn, slopes, strict=True)
     ]
-    responses = solve_bodies(problems, comm)
+    responses = solve_bodies(problems, comm) if problems else []
     return [
         condense(problem, response, slope)
         for problem, response, slope in zip(problems, responses, slopes, strict=True)

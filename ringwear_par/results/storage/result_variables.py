@@ -26,7 +26,7 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_numbers,
 )
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.hdf5 import check_times, find_texts, read_array
+from ringwear_par.results.storage.hdf5 import find_texts, read_array
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
 
 if TYPE_CHECKING:
@@ -250,7 +250,6 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         return read_array(file, variable, sizes)
 
     times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
-    check_times(times)
     count = len(times)
     points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
     sides: tuple[str, ...] = ()
