@@ -13,11 +13,8 @@ from ringwear_par.files.folders import refuse_others
         ("fit.json", "measure", "ringwear fit"),
         ("progress", "predict", "ringwear fit"),
         ("cases.csv", "fit", "ringwear sweep"),
-        ("shards", "fit", "ringwear sweep"),
-        ("measure.json", "fit", "ringwear measure"),
         ("design.json", "sweep", "ringwear fit"),
-        ("shards/", "fit", ""),  # of a sweep that has failed before its first case
-        ("progress/", "sweep", ""),  # of a fit that has failed
+        ("shards/", "fit", ""),  # empty
         ("design.json", "fit", ""),
         ("cases.csv", "sweep", ""),
     ],
