@@ -87,7 +87,7 @@ def test_a_port_and_a_signal_while_nobody_looks():
     ("words", "said"),
     [
         (["away.toml"], "away.toml: cannot be read: No such file or directory"),
-        ([PAPER, "--port", "70000"], "70000: must be a whole number"),
+        ([PAPER, "--port", "70000"], "--port: 70000: must be from 0 to 65535"),
         ([PAPER, "--set", "lower.young=-1"], "--set lower.young = -1: must be a finite number > 0"),
         ([CASES / "study.toml"], "is a study, not a case"),
     ],
