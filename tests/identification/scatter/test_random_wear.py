@@ -30,10 +30,8 @@ TESTS, SHARE, BODY = 3, 0.05, "wear.lower"
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
-    """Records and weighings of repeats whose clocks run at random; the same on all ranks."""
-    comm = MPI.COMM_WORLD
+    """Records and weighings of repeats whose clocks run at random."""
     folder = tmp_path_factory.mktemp("random")
-    experiments = None
     (folder / "case.toml").write_text(CASE)
     experiments = write_experiments(folder)
     return fit_tables(folder, experiments, process={BODY: "fit"}, starts=1)
