@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 #: s, for the tests of one fault; compilation included
-TIME_OUT = 300.0
+TIME_OUT = 600.0
 #: status of pytest where tests ran and some failed
 FAILED = 1
 
@@ -75,12 +75,11 @@ FAULTS = [
     # laws of wear
     Fault("threshold law without friction", "wear/laws/threshold.py",
           "self.k, local.time, local.r) * local.power", "self.k, local.time, local.r) * local.speed",
-          "wear/test_wear.py::test_threshold_law_is_equation_4"),
+          "wear/test_rates.py::test_rates_are_their_formulas"),
     Fault("slope below the threshold", "wear/laws/threshold.py", "rise * (p > p0)", "rise * (p > 0.0)",
           "wear/test_wear.py::test_taylor_remainders"),
     Fault("Archard's volume per energy", "wear/laws/archard.py", "return self.k / friction",
-          "return self.k", "history/test_history.py::test_balances_at_every_step "
-          "history/test_sloping_faces.py::test_other_laws_keep_their_balances_on_cones"),
+          "return self.k", "wear/test_rates.py::test_volume_by_energy_is_what_the_law_says"),
     Fault("power law: derivative by k", "wear/laws/power.py",
           "return _power(local.speed, self.n) * _power(p, self.m)", "return _power(p, self.m)",
           "wear/test_wear.py::test_taylor_remainders_of_wear_and_parameters"),
@@ -124,7 +123,7 @@ FAULTS = [
           "_normal_work(result), integral(omega, 0.0, time),",
           "_normal_work(result), in_time(omega, time) * time,", "results/test_laboratory_numbers.py"),
     Fault("masses in units", "cases/units.py", "of_mass = -3.0 if time else 3.0", "of_mass = 3.0",
-          "cases/test_units.py::test_a_number_with_its_unit_is_one_in_the_unit_of_its_key"),
+          "cases/test_units.py::test_parameters_of_a_users_law_are_in_the_units_of_a_case"),
     Fault("restart forgets updates", "results/storage/result_files.py",
           'int(parts["updates"][0]))', "0)", "results/test_restart_counts.py"),
     Fault("restart starts cold", "results/storage/result_files.py", 'WarmStart(**of("warm")),',
@@ -201,11 +200,16 @@ def is_planted_once(fault: Fault) -> bool:
 
 
 def copied(folder: Path) -> Path:
-    """Return a copy of the checkout in a folder: its files, as they are now."""
+    """Return a copy of the checkout, as it is now and with what is compiled, in a folder."""
     listed = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, check=True,
         capture_output=True, text=True,
     ).stdout.splitlines()  # fmt: skip
+    listed += [
+        str(path.relative_to(ROOT))
+        for ending in ("nbi", "nbc", "o")
+        for path in ROOT.glob(f"ringwear_par/**/__pycache__/*.{ending}")
+    ]
     copy = folder / "checkout"
     for name in listed:
         if (ROOT / name).is_file():
@@ -218,12 +222,12 @@ def is_caught(fault: Fault, copy: Path) -> bool:
     """Plant a fault in the copy, run its tests, take it out; tell whether they fail."""
     path = copy / "ringwear_par" / fault.file
     source, started = path.read_text(encoding="utf-8"), time.monotonic()
-    # kernels are compiled with each other: what is compiled of a planted one is for it alone
-    compiled = copy.parent / (fault.name if "elasticity" in fault.file else "compiled")
     environment = {
-        **os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(compiled),
-        "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1",
+        **os.environ, "PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
     }  # fmt: skip
+    if fault.file.startswith(("elasticity", "contact")):  # then all kernels are compiled anew
+        environment["NUMBA_CACHE_DIR"] = str(copy.parent / fault.name.replace(" ", "-"))
     words = [part if part.startswith("-k") or "/" not in part else f"tests/{part}"
              for part in fault.tests.split()]  # fmt: skip
     path.write_text(source.replace(fault.old, fault.new), encoding="utf-8")
