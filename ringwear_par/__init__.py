@@ -16,54 +16,28 @@ The names below are loaded when they are first used; neither the import nor read
 a result or drawing it starts MPI, PETSc or compiled code.
 """
 
+import re
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from ringwear_par.version import __version__ as __version__
 
-#: module of each name; their types are in __init__.pyi
+#: module of each name, as __init__.pyi has them with their types
 _PUBLIC = {
-    "Case": "cases.case",
-    "ComputationError": "errors",
-    "ContactPair": "elasticity.bem.pair",
-    "DesignResult": "identification.test_design.design",
-    "FailedResult": "results.result",
-    "FitResult": "identification.fit_result",
-    "Function": "functions.function",
-    "InputError": "errors",
-    "LocalState": "wear.local_state",
-    "MeasureResult": "measuring.measure_result",
-    "Prediction": "prediction.prediction",
-    "Result": "results.result",
-    "Study": "studies.definition.study",
-    "WearLaw": "wear.law",
-    "assemble": "history.elastic.pairs",
-    "design": "identification.test_design.design",
-    "fit": "identification.fit",
-    "function": "functions.function",
-    "measure": "measuring.measure",
-    "open_ensemble": "studies.storage.ensemble",
-    "open_result": "results.storage.result_files",
-    "plot": "studies.pictures.plot",
-    "predict": "prediction.predict",
-    "read_case": "cases.files.reading",
-    "read_study": "studies.definition.study",
-    "report": "reports.report",
-    "save": "results.result",
-    "simulate": "results.execution.simulate",
-    "simulate_all": "studies.execution.many",
-    "summary": "results.result",
-    "surrogate": "studies.analysis.surrogate",
-    "sweep": "studies.execution.sweep",
-    "to_dict": "results.result",
+    name: module
+    for module, name in re.findall(
+        r"^from (\S+) import (\w+) as \w+$", Path(__file__).with_suffix(".pyi").read_text(), re.M
+    )
+    if name != "__version__"
 }
-__all__ = [*_PUBLIC]
+__all__ = sorted(_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+    value = getattr(import_module(_PUBLIC[name]), name)
     globals()[name] = value
     return value
 

@@ -1,11 +1,8 @@
 """Array types, and functions of arrays."""
 
-import ctypes
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import fields
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,22 +20,6 @@ COMPLEX_STEP = 1e-30
 _STEP = 1e-5
 #: relative deviation from the difference at which a complex step counts as failed
 _AGREEMENT = 1e-5
-
-#: glibc's names of numbers of ``mallopt``, and what they become, bytes
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = (-1, 2**26), (-3, 2**25)
-
-
-@cache
-def keep_freed_memory() -> None:
-    """Let glibc keep memory that arrays free, up to 64 MB, for the next ones.
-
-    Steps make arrays of 0.1 to 1 MB by the thousand; to have their pages from the system each time
-    took up to a fifth of stepping.
-    """
-    with suppress(AttributeError, OSError):  # another C library
-        library = ctypes.CDLL(None)
-        for name, size in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
-            library.mallopt(name, size)
 
 
 def columns(numbers: Any) -> Any:

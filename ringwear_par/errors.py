@@ -69,6 +69,8 @@ class RingwearError(Exception):
     """A failure that the user reads in one sentence; exit status 1."""
 
     exit_status = 1
+    #: how many ranks raise it alike, as far as it is known
+    ranks = 0
 
     def __init__(self, sentence: str = "") -> None:
         super().__init__(legible(sentence, LONGEST_SENTENCE))

@@ -1,10 +1,9 @@
 """``ringwear info``: the versions of an installation, and the keys of files."""
 
-import difflib
-import logging
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 from ringwear_par.errors import InputError, legible
@@ -12,17 +11,6 @@ from ringwear_par.version import __version__, versions
 
 if TYPE_CHECKING:
     from mpi4py import MPI
-
-log = logging.getLogger(__name__)
-
-
-def _optional(package: str) -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def print_info(comm: "MPI.Comm", schema: Sequence[str] | None = None) -> None:
@@ -47,26 +35,28 @@ def _print_installation(comm: "MPI.Comm") -> None:
     from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")
-    for name, value in versions().items():
-        print(f"  {name.replace('_', ' ')}: {value}")
+    rows = {name.replace("_", " "): value for name, value in versions().items()}
     for package in ("matplotlib", "xarray", "h5netcdf"):
-        print(f"  {package}: {_optional(package)}")
+        try:
+            rows[package] = version(package)
+        except PackageNotFoundError:
+            rows[package] = "not installed"
     packages = [p for p in ("scalapack", "mumps", "hdf5") if PETSc.Sys.hasExternalPackage(p)]
-    print(f"  petsc packages: {', '.join(packages) or 'none of scalapack, mumps, hdf5'}")
-    print(f"  petsc scalar: {PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}")
+    rows["petsc packages"] = ", ".join(packages) or "none of scalapack, mumps, hdf5"
+    rows["petsc scalar"] = f"{PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}"
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
-    print(f"  ranks: {comm.size} (launcher says: {launched}), cores: {os.cpu_count()}")
+    rows["ranks"] = f"{comm.size} (launcher says: {launched}), cores: {os.cpu_count()}"
     folder = pair_cache.folder()
     if folder is None:
-        print(f"  assembled contact pairs: not kept ({pair_cache.VARIABLE} is empty)")
+        rows["assembled contact pairs"] = f"not kept ({pair_cache.VARIABLE} is empty)"
     else:
         pairs, size = pair_cache.size(folder)
-        print(
-            f"  assembled contact pairs: {pairs}, {size / 1e6:.3g} of "
-            f"{pair_cache.LIMIT / 1e6:g} MB, in {folder}"
-        )
+        most = pair_cache.LIMIT / 1e6
+        rows["assembled contact pairs"] = f"{pairs}, {size / 1e6:.3g} of {most:g} MB, in {folder}"
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        print(f"  {name}: {os.environ.get(name, 'not set')}")
+        rows[name] = os.environ.get(name, "not set")
+    for name, value in rows.items():
+        print(f"  {name}: {value}")
 
 
 def _print_keys(words: Sequence[str]) -> None:
@@ -83,16 +73,10 @@ def _print_keys(words: Sequence[str]) -> None:
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
     tables = {kind: key_table(schemas[kind], phrase) for kind in kinds}
-    near = difflib.get_close_matches(phrase, schemas, n=1) if len(kinds) > 1 else []
-    hint = f" (did you mean {near[0]}?)" if near else ""
     if not any(tables.values()):
-        files = " or ".join(kinds)
         raise InputError(
-            f"--schema {legible(phrase)}: is in no row of the keys of {files} files{hint}"
+            f"--schema {legible(phrase)}: is in no row of the keys of {' or '.join(kinds)} files"
         )
-    if near:
-        log.warning("--schema %s: is no kind of file%s; rows with this word", phrase, hint)
     for kind, table in tables.items():
-        if len(kinds) > 1:
-            print(f"Keys of {kind} files\n")
-        print(table or f"  none with {phrase}", end="\n\n" if kind != kinds[-1] else "\n")
+        if table:
+            print(f"Keys of {kind} files\n\n{table}\n")

@@ -2,14 +2,13 @@
 
 import errno
 import logging
-import mmap
 import os
 import pickle
 import resource
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from itertools import islice
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
@@ -21,32 +20,24 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 
-#: address space that the BLAS of NumPy and of SciPy may take to work in on one thread, bytes
-_BLAS_BYTES = 256 * 2**20
-
 
 def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
     """Return the result of an action on rank 0, or raise its error, on all ranks. Collective.
 
     A result that cannot be sent to other ranks is an error, too.
     """
-    result: Any = None
-    if comm.rank == 0:
-        try:
-            result = action() if comm.size == 1 else pickle.dumps(action(), pickle.HIGHEST_PROTOCOL)
-        except Exception as error:
-            if comm.size == 1 and not isinstance(error, RingwearError | OSError):
-                raise
-            result = as_ours(error)
-            if not isinstance(error, RingwearError | OSError):
-                log.exception("an error that should not be")
-    result = as_on_first_rank(comm, result)
-    if isinstance(result, RingwearError):
-        raise result
     if comm.size == 1:
-        return cast(T, result)
+        try:
+            return action()
+        except OSError as error:
+            raise as_ours(error) from error
+    packed = b""
     with together(comm):
-        return cast(T, pickle.loads(result))
+        if comm.rank == 0:
+            packed = pickle.dumps(action(), pickle.HIGHEST_PROTOCOL)
+    packed = comm.bcast(packed)
+    with together(comm):
+        return cast(T, pickle.loads(packed))
 
 
 def results_of_tasks(
@@ -127,45 +118,21 @@ class together:  # noqa: N801  (it reads as a word: with together(comm))
         comm.Allreduce(MPI.IN_PLACE, failed, MPI.MAX)
         if failed[0]:
             errors = comm.allgather(None if error is None else as_ours(error))
-            raise next(first for first in errors if first is not None) from error
+            first = next(first for first in errors if first is not None)
+            first.ranks = comm.size
+            raise first from error
 
 
 def as_ours(error: Exception) -> RingwearError:
     """Return an error of one sentence that can be sent to other ranks."""
     if isinstance(error, RingwearError):
         return error
-    if is_shortage(error):
+    if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
         return RingwearError(f"not enough memory: {error}".rstrip(": "))
     if isinstance(error, OSError):
         return ComputationError(f"{error.filename or 'output'}: {error.strerror or error}")
     # no ComputationError, after which another step may be tried
     return RingwearError(f"{type(error).__name__}: {error}")
-
-
-def is_shortage(error: BaseException) -> bool:
-    """Tell whether an error says that there is no memory left. Not collective."""
-    return isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
-
-
-def claim_blas_memory(comm: "MPI.Comm") -> None:
-    """Have BLAS take the memory that it works in, before there may be none. Collective on comm.
-
-    OpenBLAS takes it at its first call, and up to 0.3.26 tries for ever where there is none.
-
-    Raises
-    ------
-    RingwearError : there is not enough on one of the ranks.
-    """
-    from scipy.linalg.lapack import dpotrf
-
-    with together(comm):
-        try:
-            mmap.mmap(-1, _BLAS_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS).close()
-        except OSError as error:
-            raise MemoryError(f"{_BLAS_BYTES / 1e9:.1f} GB to begin with") from error
-        identity = np.eye(2)
-        np.linalg.solve(identity, identity)
-        dpotrf(identity)
 
 
 def blas_threads() -> int:
@@ -187,9 +154,4 @@ def warn_of_threads(ranks: int) -> None:
 
 def peak_memory() -> float:
     """Return the most memory that this process has held, bytes. Not collective."""
-    try:  # what getrusage tells begins with the memory of whoever started the process
-        with open("/proc/self/status", encoding="utf-8") as file:
-            (line,) = (line for line in file if line.startswith("VmHWM:"))
-        return 1024.0 * float(line.split()[1])
-    except (OSError, ValueError):
-        return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -1,12 +1,11 @@
 """What users call from Python: the numbers of the command, errors, many cases, on any ranks."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray
-from commands import python
+from commands import on_ranks, python
 from paths import PAPER
 
 import ringwear_par as rw
@@ -66,17 +65,16 @@ def test_a_pair_serves_any_load_law_and_modulus(case, pair, comm):
 
 
 def test_a_pair_of_another_shape_is_refused(case, pair, comm):
-    with pytest.raises(rw.InputError, match="pair: was assembled for another shape"):
+    with pytest.raises(rw.InputError, match="pair"):
         rw.simulate(case.replace({"upper.r": [28.0, 31.5]}), comm, pair=pair)
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"friction": -1.0}, "contact.friction = -1: must be "),
-        ({"friction": np.nan}, "contact.friction = nan: must be "),
-        ({"lower": {"young": -1.0}}, "lower.young = -1: must be "),
-        ({"wear_lower": {"k": -1e-7}}, "wear.lower.k = -1e-07: must be "),
+        ({"friction": np.nan}, "contact.friction"),
+        ({"lower": {"young": -1.0}}, "lower.young"),
+        ({"wear_lower": {"k": -1e-7}}, "wear.lower.k"),
     ],
 )
 def test_numbers_of_cases_that_were_not_read_are_checked(case, comm, changes, said):
@@ -85,96 +83,68 @@ def test_numbers_of_cases_that_were_not_read_are_checked(case, comm, changes, sa
         for name, change in changes.items()
     }
     bad = replace(case, **parts)
-    with pytest.raises(rw.InputError, match=f"^case: {re.escape(said)}"):
+    with pytest.raises(rw.InputError, match=said):
         rw.simulate(bad, comm)
     good, failed = rw.simulate_all([case, bad], comm)
     assert isinstance(good, rw.Result)
     assert said in str(failed.error)
 
 
-@pytest.mark.parametrize("batch", [0, -1, 2.5, 2.0, True, "2"])
-def test_simulate_all_refuses_a_batch_that_is_no_count(case, comm, batch):
-    with pytest.raises(rw.InputError, match=f"batch = {batch!r}: must be a whole number >= 1"):
-        rw.simulate_all([case], comm, batch=batch)
-
-
-def test_what_is_no_case_is_told_what_makes_one(case, comm):
-    words = "{}: a Case is needed, not {}; read_case reads a file or a dict"
-    for wrong, kind in (({"load": {}}, "dict"), (str(PAPER), "str")):
-        with pytest.raises(rw.InputError, match=words.format("simulate", kind)):
-            rw.simulate(wrong, comm)
-        with pytest.raises(rw.InputError, match=words.format("assemble", kind)):
-            rw.assemble(wrong, comm)
-        with pytest.raises(rw.InputError, match=words.format(r"simulate_all: cases\[1\]", kind)):
+def test_what_is_refused(case, comm, tmp_path):
+    for batch in (0, 2.5, True, "2"):
+        with pytest.raises(rw.InputError, match="batch"):
+            rw.simulate_all([case], comm, batch=batch)
+    for wrong in ({"load": {}}, str(PAPER)):
+        for function in (rw.simulate, rw.assemble):
+            with pytest.raises(rw.InputError, match=f"{function.__name__}: .*read_case"):
+                function(wrong, comm)
+        with pytest.raises(rw.InputError, match=r"cases\[1\].*read_case"):
             rw.simulate_all([case, wrong], comm)
     for wrong in (case, str(PAPER)):
-        with pytest.raises(rw.InputError, match="simulate_all: a list of cases is needed, not"):
+        with pytest.raises(rw.InputError, match="list of cases"):
             rw.simulate_all(wrong, comm)
-    with pytest.raises(rw.InputError, match=r"^study: case is a Case; must be"):
+    with pytest.raises(rw.InputError, match="study"):
         rw.read_study({"case": case, "vary": {}})
-
-
-def test_plot_tells_what_it_cannot_draw(case, comm, tmp_path):
     good, bad = rw.simulate_all([case, case.replace({"load.pressure": 1e9})], comm)
-    for wrong, number in (([good, bad], 2), (bad, 1)):
-        with pytest.raises(rw.InputError, match=rf"^plot: result {number} failed \(.* half of"):
+    for wrong in ([good, bad], [good, case], [good, tmp_path], bad):
+        with pytest.raises(rw.InputError, match=r"failed|Case|folder"):
             rw.plot(wrong)
-    with pytest.raises(rw.InputError, match="plot: result 2 is a Case; must be a result"):
-        rw.plot([good, case])
-    with pytest.raises(rw.InputError, match="is a folder; must be the only thing to be drawn"):
-        rw.plot([good, tmp_path])
-    for outcome, pictures in (
-        ("fit", "pictures fit.png and parameters.png are"), ("design", "picture design.png is"),
-    ):  # fmt: skip
-        (tmp_path / outcome).mkdir()
-        (tmp_path / outcome / f"{outcome}.json").write_text("{}")
-        said = (
-            rf"{outcome}: is the folder of a {outcome}, whose {pictures} there .* ringwear report"
-        )
-        for given in (tmp_path / outcome, [str(tmp_path / outcome), good]):
-            with pytest.raises(rw.InputError, match=said):
-                rw.plot(given)
+    (tmp_path / "fit.json").write_text("{}")
+    with pytest.raises(rw.InputError, match=r"fit\.png"):
+        rw.plot(tmp_path)
 
 
 def test_what_is_shown_of_objects_is_short(case, pair, comm):
-    line = r"16 \w*\s?elements, r = 28\.5 to 31\.5 mm>"
-    assert re.fullmatch(f"<ContactPair: {line}", repr(pair))
     result = rw.simulate(case, comm, pair=pair)
-    assert repr(result) == (
-        f"<Result: {case.title} (result in memory): 16 contact elements, 11 states of 10 steps "
-        "until 10 s, complete>"
-    )
-    assert repr(result.line) == "<ContactLine: 16 elements, r = 28.5 to 31.5 mm>"
-    failed = rw.FailedResult(case.text, rw.ComputationError("step 3: no"))
-    assert repr(failed) == f"<FailedResult: {case.title}: ComputationError: step 3: no>"
     study = rw.read_study({"case": str(PAPER), "vary": {"load.pressure": {"values": [40, 80]}}})
-    assert repr(case).startswith(f"<Case {case.title!r}: lower r = 20 to 40 mm, upper r = 28.5 to")
-    assert len(repr(result.checkpoint)) < 2000
-    assert repr(study) == "<Study study: grid, cases: 2, operators: 1, varied: load.pressure>"
+    shown = [case, pair, result, rw.FailedResult(case.text, rw.ComputationError("no")), study]
+    for thing in (*shown, result.line, result.checkpoint):
+        assert type(thing).__name__ in repr(thing)
+        assert len(repr(thing)) < (2000 if thing is result.checkpoint else 300)
 
 
 def test_dir_shows_what_is_public():
     assert [name for name in dir(rw) if not name.startswith("__")] == rw.__all__
+    assert {"Case", "WearLaw", "fit", "read_case", "simulate", "sweep"} < set(rw.__all__)
+    for name in rw.__all__:
+        assert getattr(rw, name).__module__.startswith("ringwear_par.")
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = rw.nothing
 
 
-@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize("ranks", on_ranks(0, 2))
 def test_three_lines_of_a_script(tmp_path, ranks):
     """With the world's communicator, which nobody mentions, and solvers that nobody frees."""
     program = f"""
+import sys
 import ringwear_par as rw
 case = rw.read_case({str(PAPER)!r}, {SMALL!r})
+assert not {{"mpi4py", "petsc4py", "numba"}} & set(sys.modules)
 result = rw.simulate(case)
 assert result.to_xarray().penetration[-1] > 0
 result.save({str(tmp_path / "run.h5")!r})
-rw.plot(result, "wear").savefig({str(tmp_path / "wear.png")!r}) if ranks_are_one() else None
-""".replace(
-        "import ringwear_par as rw",
-        "import ringwear_par as rw\n\ndef ranks_are_one():\n"
-        "    from mpi4py import MPI\n    return MPI.COMM_WORLD.size == 1",
-    )
+"""
     done = python("-c", program, ranks=ranks)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (0, "")
     with xarray.open_dataset(tmp_path / "run.h5", engine="h5netcdf") as data:
         assert data.attrs["ranks"] == max(ranks, 1)
-    assert (tmp_path / "wear.png").exists() == (ranks == 0)

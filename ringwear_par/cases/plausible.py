@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.units import factor
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.schedules import largest
 from ringwear_par.wear.law import parameters_of
@@ -30,12 +31,35 @@ def implausible_numbers(case: Case) -> tuple[ValidityWarning, ...]:
 
     One that is written with its unit is meant.
     """
-    return tuple(
-        ValidityWarning("implausible_numbers", _sentence(key, number, unit, low, high), (key,))
-        for key, number in _numbers(case)
-        for unit, low, high in (_range(case, key),)
-        if not low <= number <= high and key not in case.with_units
-    )
+    warnings = []
+    for key, number in _numbers(case):
+        table, _, name = key.rpartition(".")
+        unit, low, high = _PLAUSIBLE[name]
+        if name == "young" and case.materials[table].poisson >= _RUBBERY:
+            low = _SOFTEST
+        if not low <= number <= high and key not in case.with_units:
+            others = (u for u in _OTHER_UNITS[unit] if low <= number * factor(u, unit) <= high)
+            other = next(others, unit)
+            text = (
+                f"{key} = {number:g} {unit} is out of the plausible {low:g} to {high:g} {unit}; "
+                f'if it is in {other}, write "{number:g} {other}"'
+            )
+            warnings.append(ValidityWarning("implausible_numbers", text, (key,)))
+    return tuple(warnings)
+
+
+def _numbers(case: Case) -> Iterator[tuple[str, float]]:
+    """Yield the numbers that have plausible ranges, by key."""
+    for table, material in case.materials.items():
+        for name in ("young", "density", "thickness"):
+            if (number := getattr(material, name, None)) is not None:
+                yield f"{table}.{name}", number
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        yield f"{body}.r[1]", ring.r[1]
+    for table, law in case.laws_by_table.items():
+        for name in ("k", "k_start"):
+            if name in parameters_of(type(law)):
+                yield f"{table}.{name}", largest(getattr(law, name))
 
 
 def wear_question(case: Case, body: str = "") -> str:
@@ -56,34 +80,3 @@ def wear_question(case: Case, body: str = "") -> str:
         return ""
     k, key = max(asked)
     return f' ({key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)")'
-
-
-def _numbers(case: Case) -> Iterator[tuple[str, float]]:
-    """Yield the numbers that have plausible ranges, by key."""
-    for table, material in case.materials.items():
-        for name in ("young", "density", "thickness"):
-            if (number := getattr(material, name, None)) is not None:
-                yield f"{table}.{name}", number
-    for body, ring in (("lower", case.lower), ("upper", case.upper)):
-        yield f"{body}.r[1]", ring.r[1]
-    for table, law in case.laws_by_table.items():
-        for name in ("k", "k_start"):
-            if name in parameters_of(type(law)):
-                yield f"{table}.{name}", largest(getattr(law, name))
-
-
-def _range(case: Case, key: str) -> tuple[str, float, float]:
-    """Return unit and plausible range of the number of a key."""
-    table, _, name = key.rpartition(".")
-    unit, low, high = _PLAUSIBLE[name]
-    soft = name == "young" and case.materials[table].poisson >= _RUBBERY
-    return unit, _SOFTEST if soft else low, high
-
-
-def _sentence(key: str, number: float, unit: str, low: float, high: float) -> str:
-    others = (u for u in _OTHER_UNITS[unit] if low <= number * factor(u, unit) <= high)
-    other = next(others, unit)
-    return (
-        f"{key} = {number:g} {unit} is out of the plausible {low:g} to {high:g} {unit}; if it is "
-        f'in {other}, write "{number:g} {other}"'
-    )

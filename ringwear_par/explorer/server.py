@@ -19,7 +19,7 @@ from mpi4py import MPI
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.exploring import Exploration
 from ringwear_par.explorer.moved_keys import raw_keys
-from ringwear_par.results.execution.stop_signals import StopAtOnce, Stopped
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ def explore(
     for name in ("bokeh", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.ERROR)
     listening = _listen(port)
-    with listening, suppress(Stopped), StopAtOnce() as signals:  # Ctrl-C is how it ends
+    with listening, suppress(KeyboardInterrupt), StopSignals(at_once=True) as signals:
         exploration = Exploration(keys, str(path), comm)
         desk: SimpleQueue[Callable[[], None]] = SimpleQueue()
         server = _Server(exploration, path.name, listening, desk.put)
@@ -82,10 +82,10 @@ def explore(
                 opening = threading.Thread(target=webbrowser.open, args=(server.address,))
                 opening.daemon = True
                 opening.start()
-            while True:  # MPI, PETSc and compiled code are used by this thread alone
+            # MPI, PETSc and compiled code are used by this thread alone; Ctrl-C is how it ends
+            while not signals.received:  # which may only have made a history fail
                 with suppress(Empty):  # not for ever: a signal just before does not end the wait
                     desk.get(timeout=_NAP)()
-                signals.check()  # of a signal that has made a history fail, and nothing else
         finally:
             server.stop()
     print("ringwear explore: ended", flush=True)

@@ -5,7 +5,6 @@ import logging
 import os
 import secrets
 import shlex
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,7 +34,7 @@ def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
     ------
     OSError : the disk or the folder; its ``filename`` is that of the file.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    temporary = _beside(path)
     try:
         temporary.touch(mode, exist_ok=False)
         yield temporary
@@ -49,6 +48,11 @@ def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _beside(path: Path) -> Path:
+    """Return a new name in the folder of a file."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
 
 
 def open_or_make(path: Path) -> BinaryIO:
@@ -71,8 +75,9 @@ def check_writable(path: Path) -> None:
     if path.exists() and not os.access(path, os.W_OK):
         raise InputError(f"{path}: is write-protected; must be a file that may be replaced")
     try:
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
+        probe = _beside(path)
+        probe.touch(exist_ok=False)
+        probe.unlink()
     except OSError as error:
         raise unwritable(path, error) from error
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, keep_freed_memory
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import SCHEMES, import_named
 from ringwear_par.elasticity.bem.pair import ContactPair
@@ -85,7 +85,6 @@ def simulate(
     ValueError : steps that are given do not increase to the ends of the cases, or a history
         continues with derivatives.
     """
-    keep_freed_memory()
     if start is not None and derivatives:
         raise ValueError("a history that continues has no derivatives: they are not stored")
     for times, case in () if step_times is None else zip(step_times, cases, strict=True):

@@ -15,8 +15,7 @@ from ringwear_par.identification.estimation.starts import StoredStarts
 from ringwear_par.identification.fit import expected_result, fit_problem
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.identification.summary import prediction
-from ringwear_par.options import reject_unused_options
-from ringwear_par.parallel import on_first_rank, together, warn_of_threads
+from ringwear_par.parallel import on_first_rank, warn_of_threads
 
 log = logging.getLogger(__name__)
 
@@ -74,8 +73,6 @@ def run_fit(
             with suppress(OSError):
                 stored.remove()
         raise
-    with together(comm):  # starts stay: without the option, --restart goes on
-        reject_unused_options()
 
     def store() -> None:
         result.save(folder)

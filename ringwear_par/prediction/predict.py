@@ -15,8 +15,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import cases_at, step_times
-from ringwear_par.options import reject_unused_options
-from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.draws import draw_paces, draw_values
 from ringwear_par.prediction.folder import files_line, prepare
 from ringwear_par.prediction.known import (
@@ -124,8 +123,6 @@ def run_predict(
     if comm.rank == 0:
         print(result.summary())
         print(files_line(folder))
-    with together(comm):
-        reject_unused_options()
 
 
 def _job(

@@ -55,25 +55,27 @@ def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
         except ComputationError as error:
             raise InputError(str(error)) from error
     table = np.array(rates)
-    if table[0].any():
-        e = int(np.flatnonzero(table[0])[0])
-        raise InputError(
-            f"{law.called}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
-            f"element {e}, r = {at.r[e]:.6g} mm); must be 0: no wear without contact"
-        )
-    fall = np.diff(table, axis=0) < -1e-12 * table.max(initial=0.0)
-    if fall.any():
+    worn, fall = table[0] != 0.0, np.diff(table, axis=0) < -1e-12 * table.max(initial=0.0)
+    fault = ""
+    if worn.any():
+        e = int(worn.argmax())
+        fault = f"gives {table[0, e]:g} without pressure{_where(at, e)}; must be 0"
+    elif fall.any():
         i, e = (int(v[0]) for v in np.nonzero(fall))
-        raise InputError(
-            f"{law.called}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
-            f"p = {p[i, e]:.6g} and {p[i + 1, e]:.6g} MPa (time {at.time:g} s, element {e}, "
-            f"r = {at.r[e]:.6g} mm); must not fall with pressure"
+        fault = (
+            f"falls from {table[i, e]:g} to {table[i + 1, e]:g} between p = {p[i, e]:.6g} and "
+            f"{p[i + 1, e]:.6g} MPa{_where(at, e)}; must not fall with pressure"
         )
-    jump = _jump(law, at, p[:, 0], table)
-    if jump:
-        raise InputError(jump)
+    else:
+        fault = _jump(law, at, p[:, 0], table)
+    if fault:
+        raise InputError(f"{law.called}: rate() {fault}")
     if law.defined("d_rate_dp") is not None:
         _check_slope(law, at, pressure)
+
+
+def _where(at: LocalState, element: int) -> str:
+    return f" (time {at.time:g} s, element {element}, r = {at.r[element]:.6g} mm)"
 
 
 def _check_slope(law: CheckedLaw, at: LocalState, pressure: float) -> None:
@@ -140,6 +142,6 @@ def _jump(law: CheckedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> 
     if above - below <= 1e-3 * rise[i]:
         return ""
     return (
-        f"{law.called}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
-        f"(time {at.time:g} s, element {e}, r = {at.r[e]:.6g} mm); must be continuous in p"
+        f"jumps from {below:g} to {above:g} at p = {low:.6g} MPa{_where(at, e)}; must be "
+        "continuous in p"
     )

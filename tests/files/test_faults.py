@@ -37,12 +37,22 @@ def edited(path, edit):
     path.write_bytes(content.replace(old, new, 1) if old else content + new)
 
 
+def dotted(tables, prefix=""):
+    """Return tables of a case as overrides of single keys; a table that is a value stays one."""
+    keys = {}
+    for name, value in tables.items():
+        path = f"{prefix}{name}"
+        whole = not isinstance(value, dict) or (set(value) <= {"r"} and "." in path)
+        keys |= {path: value} if whole or not value else dotted(value, f"{path}.")
+    return keys
+
+
 def case(fault, folder):
     path = CASES / f"{fault.get('base', 'paper')}.toml"
     if "edit" in fault:
         path = shutil.copy(path, folder / "case.toml")
         edited(path, fault["edit"])
-    rw.simulate(rw.read_case(path, fault.get("options") or fault.get("set", {})))
+    rw.simulate(rw.read_case(path, fault.get("options") or dotted(fault.get("set", {}))))
 
 
 def study(fault, folder):

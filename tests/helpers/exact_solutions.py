@@ -6,15 +6,10 @@ height by ordinary differential equations. Through a layer they are solved by an
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.special import ellipe, j0, j1
-
-from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.sections import Material
+from scipy.special import ellipe, j0, j1, jv
 
 #: rigid flat annulus a/b on a half-space: F / (2 E* b delta), and p(mid) / p(mean)
 ANNULUS = {
@@ -65,43 +60,31 @@ CONE_PRESSURE = {
 }
 
 
-def contact_modulus(*bodies: tuple[float, float]) -> float:
+def contact_modulus(*bodies):
     """Return E* (MPa) of bodies given as (E, nu): 1/E* = Sum (1 - nu^2)/E."""
     return 1.0 / sum((1.0 - nu * nu) / young for young, nu in bodies)
 
 
-def lame_displacement(
-    r: FloatArray, a: float, b: float, inner: float, outer: float, young: float, nu: float
-) -> FloatArray:
+def lame_displacement(r, a, b, inner, outer, young, nu):
     """Return u_r (mm) of a ring a < r < b in plane strain under inner and outer pressure (MPa)."""
     big_a = (inner * a * a - outer * b * b) / (b * b - a * a)
     big_b = (inner - outer) * a * a * b * b / (b * b - a * a)
     return (1.0 + nu) / young * ((1.0 - 2.0 * nu) * big_a * r + big_b / r)
 
 
-def polar_moment(a: float, b: float) -> float:
-    """Return J (mm^4) of a ring a < r < b."""
-    return 0.5 * math.pi * (b**4 - a**4)
+def flat_cylinder_pressure(r):
+    """Return the mean of p over the rings between radii r <= 1, relative to the mean of all."""
+    return -np.diff(np.sqrt(1.0 - r**2)) / np.diff(r**2)
 
 
-def flat_cylinder_force(modulus: float, a: float, approach: float) -> float:
-    """Return the force (N) of a rigid flat cylinder of radius a on a half-space."""
-    return 2.0 * modulus * a * approach
-
-
-def flat_cylinder_pressure(a: float, r: FloatArray) -> FloatArray:
-    """Return the mean of p over the rings between radii r (mm), relative to F / (pi a^2)."""
-    return -np.diff(np.sqrt(1.0 - (r / a) ** 2)) * a * a / np.diff(r**2)
-
-
-def hertz(modulus: float, radius: float, approach: float) -> tuple[float, float, float]:
+def hertz(modulus, radius, approach):
     """Return force (N), contact radius (mm) and largest pressure (MPa) of a rigid sphere."""
     force = 4.0 / 3.0 * modulus * math.sqrt(radius) * approach**1.5
     a = math.sqrt(radius * approach)
     return force, a, 1.5 * force / (math.pi * a * a)
 
 
-def hertz_stress(r: FloatArray, depth: FloatArray, nu: float) -> FloatArray:
+def hertz_stress(r, depth, nu):
     """Return (p, 4) rr, tt, zz, rz of a half-space under sqrt(1 - r^2), z upwards (Huber)."""
     x = r * r + depth * depth - 1.0
     u = 0.5 * (x + np.hypot(x, 2.0 * depth))  # of the ellipsoid through the point
@@ -119,7 +102,7 @@ def hertz_stress(r: FloatArray, depth: FloatArray, nu: float) -> FloatArray:
     return np.stack([rr, tt, -(cosine**3) * square, rz], axis=1)
 
 
-def hertz_largest_shear(nu: float) -> tuple[float, float]:
+def hertz_largest_shear(nu):
     """Return the largest shear stress over p_max, and its depth over a, on the axis of Hertz."""
     depth = np.linspace(0.3, 0.7, 40001)
     rr, _, zz, _ = hertz_stress(np.zeros_like(depth), depth, nu).T
@@ -127,18 +110,12 @@ def hertz_largest_shear(nu: float) -> tuple[float, float]:
     return float(shear.max()), float(depth[shear.argmax()])
 
 
-def torsion_stress(
-    r: FloatArray, depth: FloatArray, transformed: Callable[[FloatArray], FloatArray]
-) -> FloatArray:
+def torsion_stress(r, depth, transformed):
     """Return (p, 2) rt, tz of a half-space under circumferential tractions q(r), z upwards.
 
-    Parameters
-    ----------
-    depth : > 0.05 or so, as the integrals over wave numbers are cut.
-    transformed : Int q r J1(x r) dr of wave numbers x.
+    Depths are > 0.05 or so, as the integrals over wave numbers x are cut; ``transformed`` is a
+    function of them, Int q r J1(x r) dr.
     """
-    from scipy.special import jv
-
     nodes, weights = np.polynomial.legendre.leggauss(2000)
     most = 40.0 / depth.min()
     x, w = 0.5 * most * (nodes + 1.0), 0.5 * most * weights
@@ -147,196 +124,89 @@ def torsion_stress(
     return np.stack([-(values * jv(2, waves)).sum(1), (values * jv(1, waves)).sum(1)], axis=1)
 
 
-def hertz_shear(x: FloatArray) -> FloatArray:
+def hertz_shear(x):
     """Return Int q r J1(x r) dr of q = sqrt(1 - r^2) on r < 1."""
-    from scipy.special import jv
-
     nodes, weights = np.polynomial.legendre.leggauss(400)
     phi, w = 0.25 * math.pi * (nodes + 1.0), 0.25 * math.pi * weights
-    values = w * np.sin(phi) * np.cos(phi) ** 2 * jv(1, x[:, None] * np.sin(phi))
-    return values.sum(1)
+    return (w * np.sin(phi) * np.cos(phi) ** 2 * j1(x[:, None] * np.sin(phi))).sum(1)
 
 
-def reissner_sagoci_shear(shear: float, x: FloatArray) -> FloatArray:
+def reissner_sagoci_shear(shear, x):
     """Return Int q r J1(x r) dr of q = 4 G r / (pi sqrt(1 - r^2)), of a disc turned by 1 rad."""
     return 4.0 * shear / math.pi * (np.sin(x) - x * np.cos(x)) / x**2
 
 
-def cone_force(modulus: float, slope: float, approach: float) -> float:
-    """Return the force (N) of a rigid cone whose flank has that slope (tangent) to the plane."""
-    return 2.0 * modulus * approach**2 / (math.pi * slope)
+def reissner_sagoci_torque(shear):
+    """Return the torque (N mm) that turns a disc of radius 1 mm on a half-space by 1 rad."""
+    return 16.0 / 3.0 * shear
 
 
-def reissner_sagoci_torque(shear: float, a: float, angle: float) -> float:
-    """Return the torque (N mm) that turns a disc of radius a on a half-space by an angle (rad)."""
-    return 16.0 / 3.0 * shear * a**3 * angle
-
-
-def steady_constant(force: float, p0: float, a: float, b: float) -> float:
+def steady_constant(force, p0, a, b):
     """Return c (N/mm) of the steady pressure p0 + c/r at constant force in full contact."""
     return (force - math.pi * p0 * (b * b - a * a)) / (2.0 * math.pi * (b - a))
 
 
-def bathed_approach(apexes: Iterable[float], young: Iterable[float], nu: float, p: float) -> float:
-    """Return the approach (mm) of matched cones all of whose free faces bear p (MPa) as well.
-
-    Both bodies shrink in proportion, cones stay cones, and their contact bears p everywhere.
-
-    Parameters
-    ----------
-    apexes : mm, heights of the apex of the cones above the fixed faces, which leave u_r free.
-    """
-    return (1.0 - 2.0 * nu) * p * sum(h / e for h, e in zip(apexes, young, strict=True))
-
-
-#: wave number times thickness above which a layer hides what is below to 1e-15
-_DEEP = 22.0
-
-
-def shear_modulus(material: Material) -> float:
+def shear_modulus(material):
     """Return G (MPa)."""
     return 0.5 * material.young / (1.0 + material.poisson)
 
 
-def burmister(x: FloatArray, layer: Material, base: Material) -> FloatArray:
-    """Return the deflection of a bonded layer on a half-space under pressure J0(k r), no shear.
+def bathed_circle(r, thickness, layer, base):
+    """Return u_z (mm, downwards) of a layered half-space under pressure 1 on r < 1, without shear.
 
-    Parameters
-    ----------
-    x : wave number k times the thickness of the layer.
-
-    Returns
-    -------
-    That over what a half-space of the layer's material does, (1 - nu) / (G k).
+    A layer and a base are materials, radii r <= 1. Burmister's function is what the surface gives
+    way under pressure J0(k r), over what a half-space of the layer's material does.
     """
+    last = 22.0 / thickness  # above it the layer hides what is below to 1e-15
+    panels = np.linspace(0.0, last, 2 + math.ceil(last / 50.0))
+    x, w = np.polynomial.legendre.leggauss(64)
+    half = 0.5 * np.diff(panels)
+    k = (panels[:-1, None] + half[:, None] * (1.0 + x)).ravel()
+    weight = (half[:, None] * w).ravel()
     ratio = shear_modulus(layer) / shear_modulus(base)
     layer_factor, base_factor = 3.0 - 4.0 * layer.poisson, 3.0 - 4.0 * base.poisson
     lam = 1.0 - (1.0 + layer_factor) / (1.0 + ratio * base_factor)
     kappa = (ratio - 1.0) / (ratio + layer_factor)
-    th = np.exp(-2.0 * x)
-    above = 1.0 + 4.0 * kappa * x * th - lam * kappa * th**2
-    return above / (1.0 - (lam + kappa + 4.0 * kappa * x**2) * th + lam * kappa * th**2)
+    kh = k * thickness
+    th = np.exp(-2.0 * kh)
+    above = 1.0 + 4.0 * kappa * kh * th - lam * kappa * th**2
+    burmister = above / (1.0 - (lam + kappa + 4.0 * kappa * kh**2) * th + lam * kappa * th**2)
+    more = (weight * (burmister - 1.0) * j1(k) / k) @ j0(k[:, None] * r)
+    return (1.0 - layer.poisson) / shear_modulus(layer) * (2.0 / math.pi * ellipe(r**2) + more)
 
 
-def normal_mode(k: float, layers: Sequence[tuple[float, Material]]) -> FloatArray:
+def normal_mode(k, layers):
     """Return the field under pressure J0(k r) on bonded layers, the last held at its base.
 
-    Parameters
-    ----------
-    k : 1/mm.
-    layers : thickness and material, from the top downwards.
-
-    Returns
-    -------
-    (layers + 1, 4): amplitudes of u_r and sigma_rz, times J1(k r), and of u_z and sigma_zz, times
-    J0(k r), in the order u_r, u_z, sigma_rz, sigma_zz; at the top, the interfaces and the base.
+    Layers are thickness and material, from the top downwards. (layers + 1, 4): amplitudes of u_r
+    and sigma_rz, times J1(k r), and of u_z and sigma_zz, times J0(k r), in the order u_r, u_z,
+    sigma_rz, sigma_zz; at the top, the interfaces and the base.
     """
-    through = [expm(h * mode_matrix(k, material)) for h, material in layers]
     up = [np.eye(4)]  # from the base to each level
-    for step in reversed(through):
-        up.insert(0, step @ up[0])
+    for h, material in reversed(layers):
+        nu, shear = material.poisson, shear_modulus(material)
+        lame = 2.0 * shear * nu / (1.0 - 2.0 * nu)
+        whole = lame + 2.0 * shear
+        matrix = np.array([  # of y' = A y along z
+            [0.0, k, 1.0 / shear, 0.0],
+            [-k * lame / whole, 0.0, 0.0, 1.0 / whole],
+            [k * k * (whole - lame * lame / whole), 0.0, 0.0, k * lame / whole],
+            [0.0, 0.0, -k, 0.0],
+        ])  # fmt: skip
+        up.insert(0, expm(h * matrix) @ up[0])
     base = np.zeros(4)
     base[2:] = np.linalg.solve(up[0][2:, 2:], [0.0, -1.0])
     return np.array([step @ base for step in up])
 
 
-def mode_matrix(k: float, material: Material) -> FloatArray:
-    """Return A of y' = A y along z, y being the four amplitudes of ``normal_mode``."""
-    nu, shear = material.poisson, shear_modulus(material)
-    lame = 2.0 * shear * nu / (1.0 - 2.0 * nu)
-    whole = lame + 2.0 * shear
-    return np.array(
-        [
-            [0.0, k, 1.0 / shear, 0.0],
-            [-k * lame / whole, 0.0, 0.0, 1.0 / whole],
-            [k * k * (whole - lame * lame / whole), 0.0, 0.0, k * lame / whole],
-            [0.0, 0.0, -k, 0.0],
-        ]
-    )
+def torsion_mode(k, layers):
+    """Return the field under shear J1(k r) on bonded layers, as ``normal_mode`` does.
 
-
-def torsion_mode(k: float, layers: Sequence[tuple[float, Material]]) -> FloatArray:
-    """Return the field under shear J1(k r) on bonded layers, the last held at its base.
-
-    Parameters are those of ``normal_mode``.
-
-    Returns
-    -------
-    (layers + 1, 2): amplitudes of u_theta and sigma_ztheta, times J1(k r), at the top, the
-    interfaces and the base.
+    (layers + 1, 2): amplitudes of u_theta and sigma_ztheta, times J1(k r).
     """
     up = [np.array([0.0, 1.0])]
     for h, material in reversed(layers):
-        shear = shear_modulus(material)
-        u, t = up[0]
+        stiff, (u, t) = k * shear_modulus(material), up[0]
         cosh, sinh = math.cosh(k * h), math.sinh(k * h)
-        up.insert(0, np.array([cosh * u + sinh / (k * shear) * t, k * shear * sinh * u
-                               + cosh * t]))  # fmt: skip
+        up.insert(0, np.array([cosh * u + sinh / stiff * t, stiff * sinh * u + cosh * t]))
     return np.array(up) / up[0][1]
-
-
-@dataclass(frozen=True)
-class LayeredHalfSpace:
-    """A half-space with one bonded layer, loaded without shear."""
-
-    #: mm, of the layer
-    thickness: float
-    #: materials
-    layer: Material
-    base: Material
-
-    def bathed_circle(self, r: FloatArray) -> FloatArray:
-        """Return u_z (mm, downwards) at radii r <= 1 mm under pressure 1 on the circle r < 1."""
-        k, weight = self._waves()
-        more = (weight * j1(k) / k) @ j0(k[:, None] * r)
-        return self._compliance * (2.0 / math.pi * ellipe(r**2) + more)
-
-    @property
-    def _compliance(self) -> float:
-        """(1 - nu) / G of the layer."""
-        return (1.0 - self.layer.poisson) / shear_modulus(self.layer)
-
-    def _waves(self) -> tuple[FloatArray, FloatArray]:
-        """Return wave numbers, and at each the weight of Burmister's function less one.
-
-        They integrate products of it with waves and Bessel functions of two radii up to 1 mm.
-        """
-        last = _DEEP / self.thickness
-        n = 64 + math.ceil(1.2 * last)
-        x, w = np.polynomial.legendre.leggauss(64)
-        panels = np.linspace(0.0, last, math.ceil(n / 64) + 1)
-        half = 0.5 * np.diff(panels)
-        k = (panels[:-1, None] + half[:, None] * (1.0 + x)).ravel()
-        weight = (half[:, None] * w).ravel()
-        return k, weight * (burmister(k * self.thickness, self.layer, self.base) - 1.0)
-
-    def punch(self, r: FloatArray) -> tuple[float, FloatArray]:
-        """Return the force of a rigid flat punch of radius 1 per approach, and its share within r.
-
-        With the pressure's transform A(k) = Int_0^1 phi(t) cos(k t) dt, the dual integral equations
-        become one of the second kind (Copson, 1961; Lebedev and Ufliand, 1958),
-
-            phi(t) + (2/pi) Int_0^1 phi(s) Int_0^inf (F - 1) cos(k t) cos(k s) dk ds = (2/pi) delta,
-
-        delta over (1 - nu) / G, which is solved at Gauss points (Nystrom).
-
-        Parameters
-        ----------
-        r : mm, radii up to 1.
-        """
-        t, w = np.polynomial.legendre.leggauss(64 + math.ceil(8.0 / self.thickness))
-        t, w = 0.5 * (1.0 + t), 0.5 * w
-        k, weight = self._waves()
-        waves = np.cos(k[:, None] * t)
-        kernel = 2.0 / math.pi * waves.T @ (weight[:, None] * waves)
-        unit = 2.0 / math.pi / self._compliance
-        phi = np.linalg.solve(np.eye(len(t)) + kernel * w, np.full(len(t), unit))
-        force = 2.0 * math.pi * w @ phi
-        # phi at sqrt(r^2 + s^2), s being Gauss points up to where that is 1
-        end = np.sqrt(1.0 - r**2)
-        at = np.sqrt(r[:, None] ** 2 + (end[:, None] * t) ** 2)
-        spectrum = weight * (waves @ (w * phi))
-        # radius by radius: all at once are gigabytes of waves
-        moments = [np.cos(points[:, None] * k) @ spectrum @ w for points in at]
-        rest = unit * w.sum() - 2.0 / math.pi * np.array(moments)
-        return float(force), 1.0 - 2.0 * math.pi / force * end * rest

@@ -71,16 +71,6 @@ def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
         )  # um; the paper's curves end near 18, 10
 
 
-def test_steady_pressure_at_2000_s(stepped):
-    history, states = stepped(wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 5.0, 400))
-    line, case = history.physics.line, history.physics.case
-    c = case.load.force / (2 * np.pi * 3.0)
-    p = states[-1].contact.pressure
-    assert np.abs(p * line.r / c - 1)[1:-1].max() < 1e-3
-    rate = (states[-1].contact.approach - states[-2].contact.approach) / 5.0
-    assert rate == pytest.approx(case.friction * 1e-7 * case.load.omega * c, rel=1e-4)
-
-
 def test_fixed_approach_unloads(stepped):
     load = Load(85 / 24, displacement=0.0585)
     _, states = stepped(load=load, wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 20.0, 50))
@@ -180,13 +170,11 @@ def test_twist_of_the_upper_ring_alone(paper_pair, comm):
     """On a rigid lower body, traction proportional to r turns a hollow cylinder by T h/(G J)."""
     from dataclasses import replace
 
-    from exact_solutions import polar_moment
-
     case = replace(paper_pair[0], lower=replace(paper_pair[0].lower, young=1e15))
     pair = assemble(case, comm)
     line = pair.line
     torque = (line.area * line.arm) @ line.r
-    angle = torque * 20.0 / (case.upper.young / 2.6 * polar_moment(28.5, 31.5))
+    angle = torque * 20.0 / (case.upper.young / 2.6 * 0.5 * np.pi * (31.5**4 - 28.5**4))
     assert pair.compliance(young(case)).twist @ line.r == pytest.approx(
         angle * (line.area @ line.r) / line.area.sum(), rel=1e-3
     )

@@ -340,12 +340,12 @@ def test_files_hold_derivatives(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        (["wear.lower.kk"], "wear.lower.kk: .* must be one of wear.lower.k, wear.lower.p0, "),
-        (["wear.upper.k"], "wear.upper.k: is no plain number"),
-        (["load.omega"], "load.omega: is no plain number"),
-        (["wear.lower.k", "wear.lower.k"], "wear.lower.k: must be named once"),
-        ("wear.lower.k", "must be a list of keys"),
-        ([1.0], "must be a list of keys"),
+        (["wear.lower.kk"], "wear.lower.kk"),
+        (["wear.upper.k"], "wear.upper.k"),
+        (["load.omega"], "load.omega"),
+        (["wear.lower.k", "wear.lower.k"], "once"),
+        ("wear.lower.k", "list"),
+        ([1.0], "list"),
     ],
 )
 def test_derivatives_that_there_are_not(tmp_path, keys, message):

@@ -27,10 +27,8 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.history.start import first_contact
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.serial
 
-#: numbers of elements where solutions are expensive, or where 128 show only the quadrature
-COARSE = 16, 32, 64
 BASE = Material(1.0, NU)
 NONE = np.array([], dtype=int)
 
@@ -104,52 +102,28 @@ def test_bessel_modes(comm):
     ))  # fmt: skip
 
 
-def loaded(disc, line, mesh, comm):
-    """Return u_z on the axis, at elements and at the end of a pressure of 1 on r < 1, and a punch.
-
-    The rigid flat punch: its force per approach, and its pressure over the mean.
-    """
-    problem = contact_problem(disc, line, mesh, None, None)
-    contact = problem.zones[0].boundary.elements[problem.zones[0].boundary.contact]
-    nodes = np.array([contact[0, 2], *contact[:, 1], contact[-1, 0]])
-    problem = replace(problem, nodes=(nodes, problem.nodes[1]))
-    compliance = -solve_bodies([problem], comm)[0].displacement[:, 1]
-    p = np.linalg.solve(compliance[1:-1], np.ones(line.n))
-    force = line.area @ p
-    return compliance.sum(axis=1), force, p * line.area.sum() / force
-
-
 @pytest.mark.parametrize("thickness", [0.5, 0.05])
 @pytest.mark.parametrize("layer", [Material(10.0, 0.2), Material(0.1, 0.4)], ids=["hard", "soft"])
 def test_layer_on_a_half_space(layer, thickness, comm):
-    """Under a uniform pressure and under a rigid flat punch."""
-    known = exact.LayeredHalfSpace(thickness, layer, BASE)
+    """Under a uniform pressure on r < 1: u_z on the axis, at elements and at the end of it."""
 
     def errors(n):
-        mesh = Mesh(n, grading=3.0)
+        mesh, found = Mesh(n, grading=3.0), []
         line = contact_line((0.0, 1.0), mesh)
-        inner = line.r < 0.9
-        near, far = (
-            loaded(Body(Section((0.0, big_r), big_r, (), (thickness,)), BASE.young, NU, "clamped",
-                        (layer,)), line, mesh, comm)
-            for big_r in (200.0, 400.0)
-        )  # fmt: skip
-        exactly = known.bathed_circle(np.array([0.0, *line.r, 1.0]))
-        axis, *inside, rim = np.abs((2.0 * far[0] - near[0]) / exactly - 1.0)
-        force, share = known.punch(line.edges)
-        pressure = np.diff(share) * line.area.sum() / line.area
-        return {
-            "axis": axis, "inside": np.array(inside)[inner].max(), "edge": rim,
-            "punch": 1.0 / (2.0 / far[1] - 1.0 / near[1]) / force - 1.0,
-            "p": np.abs(far[2] - pressure)[inner].max(),
-        }  # fmt: skip
+        for big_r in (200.0, 400.0):
+            section = Section((0.0, big_r), big_r, (), (thickness,))
+            disc = Body(section, BASE.young, NU, "clamped", (layer,))
+            problem = contact_problem(disc, line, mesh, None, None)
+            contact = problem.zones[0].boundary.elements[problem.zones[0].boundary.contact]
+            nodes = np.array([contact[0, 2], *contact[:, 1], contact[-1, 0]])
+            problem = replace(problem, nodes=(nodes, problem.nodes[1]))
+            found.append(-solve_bodies([problem], comm)[0].displacement[:, 1].sum(axis=1))
+        known = exact.bathed_circle(np.array([0.0, *line.r, 1.0]), thickness, layer, BASE)
+        axis, *inside, edge = np.abs((2.0 * found[1] - found[0]) / known - 1.0)
+        return {"axis": axis, "inside": np.array(inside)[line.r < 0.9].max(), "edge": edge}
 
-    # of the thick hard layer that of p is 2.7 from 16 to 32, then what the discs leave shows
-    flat = None if (layer.young, thickness) == (10.0, 0.5) else 1.8
-    check_errors(errors, {
-        "axis": (2e-4, 2.2), "inside": (5e-4, 2.2), "edge": (1e-3, 2.2), "punch": (5e-4, 2.2),
-        "p": (5e-3, flat),
-    }, COARSE)  # fmt: skip
+    limits = {"axis": (2e-4, 2.2), "inside": (5e-4, 2.2), "edge": (1e-3, 2.2)}
+    check_errors(errors, limits, (16, 32, 64))
 
 
 def test_hard_coating_of_the_paper(comm):

@@ -19,7 +19,7 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.serial
 
 #: beyond this distance from an edge, mm, the shape of the pressure at the edge is resolved
 INSIDE = 0.02
@@ -175,9 +175,11 @@ def test_cones_bathed_in_their_pressure(comm):
         unit, less = np.linalg.solve(pair.compliance(moduli).collocated, rhs).T
         approach = area @ (1.0 + less) / (area @ unit)
         heights = [body.section.height + body.section.points[0, 1] for body in both]
-        apexes = heights[0] - rise, heights[1] + rise
+        # both bodies shrink in proportion to the heights of their apexes: cones stay cones
+        apexes = np.array([heights[0] - rise, heights[1] + rise])
+        known = (1.0 - 2.0 * NU) * (apexes / moduli).sum()
         return {
-            "approach": approach / exact.bathed_approach(apexes, moduli, NU, 1.0) - 1.0,
+            "approach": approach / known - 1.0,
             "pressure": np.abs(approach * unit - less - 1.0).max(),
         }
 
@@ -220,15 +222,10 @@ def test_coarser_meshes_make_the_fine_solutions_again(name, most, comm):
 
 
 def test_exact_in_time_is_what_short_steps_come_to(comm):
-    """On one mesh and its compliance, so that only time differs; fixed steps are of order one."""
+    """On one mesh and its compliance, so that only time differs."""
     case = ring_case(SORTS["paper"], Mesh(32))
     pair = assemble(case, comm)
     *_, worn = worn_exactly(case, pair.compliance(young(case)))
     adaptive = replace(case, time=replace(case.time, tolerance=1e-8))
     last = trace(adaptive, comm, pair=pair).last
     assert last.wear[0] == pytest.approx(worn[200.0], abs=1e-7)
-    errors = []
-    for steps in (100, 200):
-        fixed = replace(case, time=Stepping("implicit", 1.0 / steps, steps))
-        errors.append(np.abs(trace(fixed, comm, pair=pair).last.wear[0] - worn[1.0]).max())
-    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)

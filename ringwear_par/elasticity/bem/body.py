@@ -296,8 +296,7 @@ def compliance(
 
     Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
     """
-    problem = contact_problem(body, line, mesh, worn, slope)
-    return condense(problem, solve_bodies([problem], comm)[0], slope)
+    return compliances([body], line, mesh, comm, [slope], [worn])[0]
 
 
 def compliances(
@@ -305,7 +304,7 @@ def compliances(
     line: ContactLine,
     mesh: Mesh,
     comm: MPI.Comm,
-    slopes: Sequence[FloatArray],
+    slopes: Sequence[FloatArray | None],
     worn: Sequence[FloatArray | None],
 ) -> list[Compliance]:
     """Return the compliances of bodies, as ``compliance`` does of one. Collective on comm.

@@ -29,8 +29,8 @@ from ringwear_par.identification.model.histories import (
     Pair,
 )
 from ringwear_par.parallel import as_ours, together
-from ringwear_par.results.execution.progress import FitProgress
-from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
+from ringwear_par.results.execution.progress import Progress
+from ringwear_par.results.execution.stop_signals import StopSignals, name_of
 
 T = TypeVar("T")
 #: pauses a job until the histories at a point are computed
@@ -128,7 +128,7 @@ class Rounds(Histories):
             super().__init__(problem, comm)
         self._comm, self._signals, self._hint = comm, signals, hint
         self._leads = False
-        self._progress: FitProgress | None = None
+        self._progress: Progress | None = None
         # ranks take experiments with operators of their own, each of which costs a batch
         self._order = self.operators.order
 
@@ -143,7 +143,7 @@ class Rounds(Histories):
             if comm.rank == 0:
                 self._leads = True
                 try:
-                    with closing(FitProgress()) as self._progress:
+                    with closing(Progress(pause=0.0)) as self._progress:
                         content = pickle.dumps(job(), pickle.HIGHEST_PROTOCOL)
                 finally:
                     self._leads, self._progress = False, None
@@ -161,7 +161,7 @@ class Rounds(Histories):
     def tell(self, state: str) -> None:
         """Tell the user, now and then, what the job of the first rank is at. Not collective."""
         if self._progress is not None:
-            self._progress.tell(state)
+            self._progress.show(self.count, "%s, %d histories", state, self.count)
 
     def read(
         self,
@@ -179,8 +179,6 @@ class Rounds(Histories):
         _, request = self._comm.bcast(("_share", (points, order, steps, derivatives, exact)))
         responses = dict(zip(request[1], self._share(*request), strict=True))
         self.count = count
-        if self._progress is not None:
-            self._progress(count)
         return [responses[pair] for pair in pairs]
 
     def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
@@ -226,7 +224,7 @@ class Rounds(Histories):
         return [outcome for outcome, _, _ in gathered]
 
     def _stopped(self, received: int) -> StoppedError:
-        return StoppedError(f"stopped by {name_of(received)}{self._hint()}{remark(received)}")
+        return StoppedError(f"stopped by {name_of(received)}{self._hint()}")
 
 
 class Responses:

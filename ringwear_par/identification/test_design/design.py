@@ -34,8 +34,7 @@ from ringwear_par.identification.test_design.information import (
     with_noise,
 )
 from ringwear_par.identification.test_design.search import Design, Search
-from ringwear_par.options import reject_unused_options
-from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
@@ -233,5 +232,3 @@ def run_design(
     if comm.rank == 0:
         print(result.summary())
         print(closing_line(folder, files))
-    with together(comm):
-        reject_unused_options()

@@ -2,9 +2,11 @@
 
 import logging
 import os
+import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +14,18 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.plausible import implausible_numbers
-from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError, counted
 from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import is_at_end, simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
-from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare
-from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
+from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
+from ringwear_par.results.execution.stop_signals import StopSignals, name_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import restored, write_result
+from ringwear_par.results.summary import labelled
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
@@ -142,22 +144,20 @@ def run_case(
                 handlers.enter_context(signals)
             return False
 
-        _step(case, path, file, [recorder, note_signals, _check_options, watch])
+        _step(case, path, file, [recorder, note_signals, watch])
         result = file.save_at_end()
         if comm.rank == 0:
             lines = [result.summary(verbose=verbose)]
             if verbose:
                 start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
                 lines.append(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
-            print(
-                for_terminal("\n".join([*lines, *closing_lines(output, result, recorder.finished)]))
-            )
+            print("\n".join([*lines, *_closing_lines(output, result, recorder.finished)]))
         last = recorder.last
         if last is not None and not recorder.finished:
             raise ComputationError(
                 f"stopped by {watch.signal_name} after step {last.progress.steps[0]} "
                 f"{_progress(case, float(last.state.time[0]))}; {output} holds them, and the same "
-                f"command with --restart continues{remark(watch.agreed)}"
+                f"command with --restart continues"
             )
     return _draw(output, figure, comm)
 
@@ -217,7 +217,8 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
     with ExitStack() as resources:
         if comm.rank == 0:
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
-            observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
+            progress = resources.enter_context(closing(Progress(case.time.end, since)))
+            observers.append(partial(_show, progress, case.time.end))
         try:
             with _logging_implausible_numbers(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
@@ -235,22 +236,26 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
             ) from error
 
 
+def _show(progress: Progress, end: float, snapshot: Snapshot) -> bool:
+    """Show how far a history is: an observer."""
+    time = float(snapshot.state.time[0])
+    progress.show(
+        time, "step %d, time %.6g of %.6g s, approach %.6f mm",
+        snapshot.progress.steps[0], time, end, snapshot.state.contact.approach[0],
+    )  # fmt: skip
+    return False
+
+
 @contextmanager
 def _logging_implausible_numbers(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
-    """Log the implausible numbers of a case that fails."""
+    """Log the implausible numbers of a case that fails, but for those that its error names."""
     try:
         yield
-    except RingwearError:
+    except RingwearError as error:
         for warning in implausible_numbers(case) if comm.rank == 0 else ():
-            log.warning("%s: %s", path, warning.text)
+            if f"{warning.keys[0]} = " not in str(error):
+                log.warning("%s: %s", path, warning.text)
         raise
-
-
-def _check_options(snapshot: Snapshot) -> bool:
-    """Refuse unused PETSc options once the first contact is solved: an observer."""
-    if snapshot.step is None:
-        reject_unused_options()
-    return False
 
 
 def _progress(case: Case, time: float) -> str:
@@ -265,11 +270,20 @@ def _draw(output: Path, figure: Figure | None, comm: MPI.Comm) -> None:
         on_first_rank(comm, lambda: figure.draw(output))
 
 
+def _closing_lines(output: Path, result: Result, finished: bool) -> list[str]:
+    """Return the lines about the file of a run, and about the command to type next."""
+    file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
+    after = f"ringwear report {file} -o {page}" if finished else "the same command with --restart"
+    return labelled(
+        [("written", f"{output} ({counted(len(result.step), 'state')})"), ("next", after)]
+    )
+
+
 def _times(seconds: dict[str, float], start_up: float, evaluations: int) -> str:
     names = ("assembly", "factorisation", "stepping", "output")
     parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-    counted = f"{evaluations} kernel evaluations" if evaluations else "of a stored contact pair"
-    return f"seconds: start-up {start_up:.2f}, {parts} ({counted})"
+    work = f"{evaluations} kernel evaluations" if evaluations else "of a stored contact pair"
+    return f"seconds: start-up {start_up:.2f}, {parts} ({work})"
 
 
 def seconds_since_start() -> float:

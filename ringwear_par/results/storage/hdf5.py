@@ -18,8 +18,6 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.variables import Variable
 
-_FORMAT = "v110"
-
 
 class UnreadableError(InputError):
     """A file that cannot be read now: it may be whole."""
@@ -112,7 +110,7 @@ def atomic_hdf5(path: Path) -> Iterator[h5py.File]:
     OSError : the disk or the folder.
     """
     contents = io.BytesIO()
-    with h5py.File(contents, "w", libver=(_FORMAT, _FORMAT)) as file:
+    with h5py.File(contents, "w", libver=("v110", "v110")) as file:
         yield file
     with atomic_write(path) as temporary:
         temporary.write_bytes(contents.getbuffer())
@@ -131,11 +129,7 @@ def write_variable(group: h5py.Group, variable: Variable, values: Any) -> None:
         dataset.make_scale(variable.name)
         return
     for axis, name in enumerate(variable.dimensions):
-        dataset.dims[axis].attach_scale(_scale(group, name))
-
-
-def _scale(group: h5py.Group, name: str) -> h5py.Dataset:
-    """Return the dimension of this name in a group or the nearest one that it is in."""
-    while name not in group and group.name != "/":
-        group = group.parent
-    return group[name]
+        owner = group
+        while name not in owner and owner.name != "/":
+            owner = owner.parent
+        dataset.dims[axis].attach_scale(owner[name])

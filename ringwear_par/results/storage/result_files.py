@@ -32,7 +32,7 @@ _KIND = "a result file of ringwear"
 _ATTRIBUTES = {
     "case", "title", "status", "error", "version", "begun_by", "scheme", "user_laws", "law_lower",
     "law_upper", "doubts", "ranks", "time_step", "time_steps", "time_end", "symmetry_defect",
-    "energy_identity", "step_error_time", "closing_contact", "friction", "omega", "angle",
+    "energy_identity", "closing_contact", "friction", "omega", "angle",
     "nominal_area", "mean_radius", "balance_force", "balance_torque", "balance_reaction",
     "balance_volume", "balance_energy", "balance_residual",
 }  # fmt: skip

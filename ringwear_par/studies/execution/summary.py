@@ -11,7 +11,7 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.execution.progress import duration
-from ringwear_par.results.execution.stop_signals import name_of, remark
+from ringwear_par.results.execution.stop_signals import name_of
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE, count_flags
 
@@ -124,7 +124,6 @@ def trouble_of(
         name = name_of(received) if received else "a team"
         return ComputationError(
             f"stopped by {name}, incomplete: {ended}, and the same command goes on"
-            f"{remark(received)}"
         )
     if summary.failed:
         where = summary.folder / TABLE

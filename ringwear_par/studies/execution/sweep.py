@@ -18,7 +18,7 @@ from mpi4py import MPI
 from ringwear_par.errors import RingwearError
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, with_help_of_all
 from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stop_signals import Stopped, StopSignals, name_of, remark
+from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.batches import block_size
 from ringwear_par.studies.execution.case_queue import SharedQueue
@@ -191,8 +191,6 @@ def _compute(
         sum((t.flagged for t in rank_timings), plan.flagged),
     )
     counted = summary.done, summary.failed
-    if comm.rank == 0 and remark(received):  # mpirun kills a second later
-        log.info("stopped by %s: %d cases are merged so far", name_of(received), sum(counted))
     try:
         done, failed = with_help_of_all(
             comm, lambda: merge_if_well(plan, summary, not troubles, comm)
@@ -201,7 +199,7 @@ def _compute(
         summary = replace(summary, done=done, failed=failed, merged=merged)
     except RingwearError as error:  # of the disk
         troubles.append(error)
-    except (Stopped, KeyboardInterrupt):  # nothing is lost: shards go once all is merged
+    except KeyboardInterrupt:  # nothing is lost: shards go once all is merged
         if comm.rank == 0:
             mark_stopped(plan.folder.stopped)
         raise

