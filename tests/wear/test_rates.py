@@ -8,8 +8,6 @@ from paths import PAPER
 import ringwear_par as rw
 from ringwear_par.wear import LocalState
 
-pytestmark = pytest.mark.serial
-
 MU, P = 0.3, np.array([5.0, 20.0, 80.0])
 R = np.array([10.0, 15.0, 20.0])
 V, SLID = 4.0 * R, np.array([100.0, 200.0, 400.0])
