@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray
 from commands import on_ranks, python
+from parts import run_case
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.results.execution.run import run_case
 
 SMALL = {"mesh.contact_elements": 16, "time.steps": 10}
 SET = [f"{key}={value}" for key, value in SMALL.items()]

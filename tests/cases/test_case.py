@@ -5,15 +5,14 @@ import re
 
 import numpy as np
 import pytest
+from parts import ThresholdLaw, operator_key
 from paths import PAPER
 
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import KEYS
 from ringwear_par.cases.tables import key_table
-from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.identification.definition import schema as fits
 from ringwear_par.studies.definition import schema as studies
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 TEXT = PAPER.read_text()
 

@@ -4,10 +4,8 @@ import tomllib
 
 import h5py
 import pytest
+from parts import LAWS, run_case
 from paths import CASES
-
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.wear.laws import LAWS
 
 #: the others in that folder are studies
 RUNS = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))

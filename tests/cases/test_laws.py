@@ -3,22 +3,20 @@
 from dataclasses import dataclass, fields, replace
 
 import pytest
+from parts import LAWS, RunningInLaw, parameters_of
 from paths import PAPER
 
+import ringwear_par as rw
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.schema import BY_PATH, KEYS
 from ringwear_par.cases.tables import key_table
-from ringwear_par.errors import InputError
-from ringwear_par.wear.law import parameters_of
-from ringwear_par.wear.laws import LAWS
-from ringwear_par.wear.laws.running_in import RunningInLaw
 
 TEXT = PAPER.read_text()
 
 
 @pytest.mark.parametrize("parameter", ["k", "p0"])
 def test_no_law_is_meant_silently(parameter):
-    with pytest.raises(InputError, match=r"wear\.upper\.law is missing") as caught:
+    with pytest.raises(rw.InputError, match=r"wear\.upper\.law is missing") as caught:
         read_case(PAPER, {f"wear.upper.{parameter}": 1e-8})
     assert len(caught.value.faults) == 1
     case = read_case(PAPER, {"wear.upper": {"law": "archard", "k": 1e-9}})
@@ -58,5 +56,5 @@ def test_a_case_takes_a_law_with_a_rate_alone():
 
 def test_numbers_of_running_in_from_python_are_refused_as_those_of_files():
     RunningInLaw(k=2e-7, k_start=2e-7, depth=1.0)
-    with pytest.raises(InputError, match=r"^k_start = 1e-07: must be at least k = 2e-07$"):
+    with pytest.raises(rw.InputError, match=r"^k_start = 1e-07: must be at least k = 2e-07$"):
         RunningInLaw(k=2e-7, k_start=1e-7, depth=1.0)

@@ -1,16 +1,12 @@
 """Layers in case files: what is read, set and varied of them."""
 
 import numpy as np
+from parts import ArchardLaw, LayeredLaw, Material, NoWear, ThresholdLaw, bodies, operator_key
 from paths import CASES
 
 import ringwear_par as rw
 from ringwear_par.cases.case import RingLayer
 from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.elasticity.sections import Material
-from ringwear_par.history.elastic.bodies import bodies, operator_key
-from ringwear_par.wear.laws.archard import ArchardLaw
-from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.layered import LayeredLaw, NoWear
 
 CASE = CASES / "wear_through.toml"
 TEXT = CASE.read_text()

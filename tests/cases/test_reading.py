@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from paths import CASES, PAPER
 
+import ringwear_par as rw
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import parse_case, read_case
-from ringwear_par.errors import InputError
 
 TEXT = PAPER.read_text()
 TABLES = tomllib.loads(TEXT)
@@ -74,7 +74,7 @@ def test_replace_is_a_changed_and_checked_copy():
     assert changed.replace({"load.pressure": 80.0, "wear.lower.k": 1e-7}) == case
     pushed = case.replace({"load.control": "displacement", "load.displacement": 0.05})
     assert (pushed.load.force, pushed.load.displacement) == (None, 0.05)
-    with pytest.raises(InputError, match=r"load.omega"):
+    with pytest.raises(rw.InputError, match=r"load.omega"):
         case.replace({"load.omega": -1})
     assert case.replace({"wear.lower": {"law": None, "k": None, "p0": None}}).wear_lower is None
     assert case.replace({"title": None}).title == ""
@@ -87,7 +87,7 @@ def test_none_takes_a_table_away():
     assert both.replace({"wear": None}).laws == (None, None)
     other = both.replace({"wear.lower": None, "wear.lower.law": "archard", "wear.lower.k": 1e-9})
     assert other.wear_lower == both.wear_upper
-    with pytest.raises(InputError, match=r"upper.r"):
+    with pytest.raises(rw.InputError, match=r"upper.r"):
         both.replace({"upper": None})
 
 
@@ -98,7 +98,7 @@ def test_a_table_takes_the_place_of_the_one_before():
     for changes in ({"wear.lower": table}, ["wear.lower={law='threshold', k=2e-7}"]):
         assert read_case(PAPER, changes).wear_lower == replace(case.wear_lower, k=2e-7, p0=0.0)
     grid = ["stress.grid={r=[28, 32], z=[19, 21], n=[5, 4]}"]
-    with pytest.raises(InputError, match=r"stress\.grid\.n is missing"):
+    with pytest.raises(rw.InputError, match=r"stress\.grid\.n is missing"):
         read_case(PAPER, grid).replace({"stress.grid": {"r": [28.0, 30.0], "z": [19.0, 20.0]}})
 
 

@@ -4,10 +4,11 @@ import json
 import pickle
 
 import pytest
+from parts import legible
 from paths import CASES, PAPER
 
+import ringwear_par as rw
 from ringwear_par import InputError, read_case, read_study
-from ringwear_par.errors import ComputationError, legible
 
 
 def test_messages_are_short_and_on_one_line():
@@ -16,7 +17,7 @@ def test_messages_are_short_and_on_one_line():
     assert legible("\x1b[2J\u202e\ud800\n") == r"\x1b[2J\u202e\ud800\n"
     for text in ("\n" * 60, "\0" * 10_000, "\N{LATIN SMALL LETTER E WITH ACUTE}" * 500):
         assert legible(legible(text)) == legible(text)
-    assert str(ComputationError("two\nlines")) == r"two\nlines"
+    assert str(rw.ComputationError("two\nlines")) == r"two\nlines"
     assert len(str(InputError("x" * 5000))) == 1000
     with pytest.raises(InputError, match=r"x{40,} \.\.\. x+\": must be") as caught:
         read_case(PAPER, {"lower.young": "x" * 100_000})

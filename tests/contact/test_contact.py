@@ -4,14 +4,13 @@ import active_set
 import numpy as np
 import pytest
 from one_contact import OneContact
+from parts import ThresholdLaw, young
 from petsc4py import PETSc
 from wearing import step_wear
 
+import ringwear_par as rw
 from ringwear_par.contact import newton
 from ringwear_par.contact.engine import TAO_TYPES
-from ringwear_par.errors import ComputationError
-from ringwear_par.history.elastic.bodies import young
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 N = 40
 FORCE = 45000.0
@@ -20,7 +19,7 @@ FORCE = 45000.0
 @pytest.fixture
 def problem(paper_pair):
     """A small contact line: the paper's rings, every other element joined to its neighbour."""
-    from ringwear_par.elasticity.mesh import ContactLine
+    from parts import ContactLine
 
     case, pair = paper_pair
     keep = np.sort(np.random.default_rng(3).choice(np.arange(1, 64), N - 1, replace=False))
@@ -145,7 +144,7 @@ def test_failure_is_an_error_that_names_reason_and_residual(problem, comm):
         with (
             OneContact(stiffness, line.area) as solver,
             pytest.raises(
-                ComputationError, match=r"reason \w+ \(-?\d+\) after 1 iterations.*residual"
+                rw.ComputationError, match=r"reason \w+ \(-?\d+\) after 1 iterations.*residual"
             ),
         ):
             solver.solve(gaps(N)["rough"], force=FORCE)

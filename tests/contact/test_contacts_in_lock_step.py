@@ -3,18 +3,21 @@
 import numpy as np
 import pytest
 from one_contact import OneContact
+from parts import (
+    HistoriesError,
+    NonLocalLaw,
+    PowerLaw,
+    ThresholdLaw,
+    WearIncrement,
+    averaging,
+    stack_laws,
+)
 
+import ringwear_par as rw
 from ringwear_par.contact import hessians
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import KKT_TOLERANCE
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
-from ringwear_par.errors import HistoriesError
-from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import stack_laws
-from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
-from ringwear_par.wear.laws.power import PowerLaw
-from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.local_state import LocalState
 
 N, B = 19, 11
 R = np.linspace(28.5, 31.5, N)
@@ -40,7 +43,7 @@ def wear_of(name):
     """The wear of an implicit step of B histories."""
     laws = LAWS[name]
     speed = np.linspace(80.0, 120.0, B)[:, None] * np.ones(N)
-    at = LocalState(np.zeros(B), R, speed, np.full(B, 0.1), np.zeros((B, N)), 0.0 * speed)
+    at = rw.LocalState(np.zeros(B), R, speed, np.full(B, 0.1), np.zeros((B, N)), 0.0 * speed)
     average = averaging(R, AREA, laws[0].length) if laws[0].length else None
     return WearIncrement((stack_laws(laws), None), (at, at), np.linspace(1.0, 5.0, B),
                          (average, None))  # fmt: skip

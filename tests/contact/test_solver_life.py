@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from commands import NEEDS_MPIRUN, python
 from one_contact import engine_of
+from parts import LawError, PowerLaw, WearIncrement
 from paths import HELPERS, ROOT
 
+import ringwear_par as rw
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
-from ringwear_par.errors import LawError
-from ringwear_par.wear import LocalState
-from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.laws.power import PowerLaw
 
 N = 8
 COMPLIANCE = np.eye(N) + 0.1
@@ -44,7 +42,7 @@ class Failing(PowerLaw):
 def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error):
     gap, force = np.linspace(0.0, 0.3, N)[None] ** 2, np.array([0.05])
     radii = np.ones((1, N))
-    at = LocalState(np.zeros(1), radii[0], radii, np.ones(1), 0.0 * radii, 0.0 * radii)
+    at = rw.LocalState(np.zeros(1), radii[0], radii, np.ones(1), 0.0 * radii, 0.0 * radii)
     law = Failing(0.1, 1.5, error=error, left=[0])
     wear = WearIncrement((law, None), (at, at), np.ones(1), (None, None))
     compliances = ScaledCompliances.of(COMPLIANCE[None], AREA)

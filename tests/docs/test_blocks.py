@@ -19,12 +19,10 @@ from pathlib import Path
 
 import pytest
 from commands import python
+from parts import main, read_fit, read_measure
 from paths import ROOT
 
 import ringwear_par as rw
-from ringwear_par.cli import main
-from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.measuring.definition.measure_file import read_measure
 
 pytestmark = pytest.mark.slow
 

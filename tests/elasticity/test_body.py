@@ -5,11 +5,11 @@ import os
 import numpy as np
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.elasticity.bem import rows, solve
 from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.errors import ComputationError
 
 LOWER = Section((20.0, 40.0), 20.0)
 UPPER = Section((28.5, 31.5), 20.0)
@@ -25,7 +25,9 @@ def condensed(section, mesh, comm, grip="clamped"):
 def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypatch):
     """Not integrals over parts that are too long, whose error nobody would see."""
     monkeypatch.setattr(rows, "MAX_PARTS", 2)
-    with pytest.raises(ComputationError, match=r"too close to each other.*to be integrated over"):
+    with pytest.raises(
+        rw.ComputationError, match=r"too close to each other.*to be integrated over"
+    ):
         condensed(UPPER, Mesh(16), comm)
     monkeypatch.setattr(rows, "MAX_PARTS", 20)
     known = condensed(UPPER, Mesh(16), comm).normal

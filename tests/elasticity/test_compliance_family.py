@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import Compliances
 from reference_cases import paper_case
 
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.elastic.compliances import Compliances
-from ringwear_par.history.elastic.pairs import assemble
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def with_moduli(case, lower, upper):
 
 def test_members_are_the_compliances_of_their_moduli(case, comm):
     """At both ends of a family and within; the collocated ones exactly."""
-    pair = assemble(case, comm)
+    pair = rw.assemble(case, comm)
     ends = [2.0 ** (0.5 * (3 + by)) for by in (-0.499, 0.2, 0.499)]
     moduli = [(1e3 * ratio, 1e3) for ratio in ends]
     assert {family_number(young) for young in moduli} == {3}
@@ -45,7 +45,7 @@ def test_members_are_the_compliances_of_their_moduli(case, comm):
 
 def test_derivatives_by_moduli_are_those_of_the_members(case, comm):
     """K is nearly linear in both compliances, so that differences are wide."""
-    young, pair = (10001.3, 99e3), assemble(case, comm)
+    young, pair = (10001.3, 99e3), rw.assemble(case, comm)
     family = family_of(pair, family_number(young))
 
     def matrix(moduli):

@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 import xarray
+from parts import boundary_recovery, run_case, updated_geometry, young
 from paths import CASES, PAPER
 
-from ringwear_par.cases.files.reading import read_case
+import ringwear_par as rw
 from ringwear_par.elasticity.stress.fields import FACES
-from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, updated_geometry
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage.result_files import open_result
 
 FIELDS = CASES / "fields.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20", "output.boundary=all"]
@@ -46,11 +43,11 @@ def weights(fields):
 def test_equilibrium_and_bodies_that_meet(case, overrides, tmp_path, comm):
     path = tmp_path / "run.h5"
     run_case(CASES / case, path, overrides, comm=comm)
-    problem = read_case(CASES / case, overrides)
-    result = open_result(path)
+    problem = rw.read_case(CASES / case, overrides)
+    result = rw.open_result(path)
     shape = result.checkpoint.state.meshed_wear
     if shape is None:
-        pair = assemble(problem, comm)
+        pair = rw.assemble(problem, comm)
     else:
         assert shape.max() > 0.005
         pair = updated_geometry(problem, comm).update(shape)
@@ -97,7 +94,7 @@ def test_bars_shorten_as_they_should(comm):
     """Equal tubes without Poisson's effect under uniform pressure: u_z is linear, exactly."""
     tube = [f"{ring}.{key}" for ring in ("lower", "upper")
             for key in ("r=[20.0,40.0]", "young=1e4", "poisson=0")]  # fmt: skip
-    case = read_case(PAPER, [*SMALL, *tube])
+    case = rw.read_case(PAPER, [*SMALL, *tube])
     strain = 80.0 / 1e4
     recovery = boundary_recovery(case, comm)
     lower, upper = recovery.fields(
@@ -118,7 +115,7 @@ def test_bars_shorten_as_they_should(comm):
 
 
 def test_responses_follow_the_shape(comm):
-    case = read_case(FIELDS, ["mesh.contact_elements=16"])
+    case = rw.read_case(FIELDS, ["mesh.contact_elements=16"])
     contact = np.full(16, 80.0), 0.1, case.friction
     whole, worn = boundary_recovery(case, comm), np.zeros((2, 16))
     unworn = whole.fields(*contact, worn, worn)[0]
@@ -175,4 +172,4 @@ def test_which_states_are_stored(overrides, times, tmp_path, comm):
         overrides = ["time.end=20", *overrides[1:]]
     run_case(case, path, [*SMALL[:1], *(SMALL[1:2] if case.name == "paper.toml" else []),
                           *overrides], comm=comm)  # fmt: skip
-    assert [state.time for state in open_result(path).boundary] == times
+    assert [state.time for state in rw.open_result(path).boundary] == times

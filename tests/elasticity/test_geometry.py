@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.boundary import boundary_mesh, count_elements
 from ringwear_par.elasticity.mesh import Mesh, contact_line, graded
 from ringwear_par.elasticity.sections import Section, corners
-from ringwear_par.errors import InputError
 
 # each with its contact line; faces: chamfers, a ridge with a corner, a smooth dome, a steep rim
 DOME = tuple((float(r), float(-(r**2) / 40.0)) for r in np.linspace(0.0, 10.0, 201))
@@ -100,7 +100,7 @@ def test_the_line_is_cut_at_corners_and_shares_its_elements_out():
     assert np.array_equal(contact_line((28.5, 31.5), Mesh(64), *SECTIONS[0][:1]).edges, alone.edges)
     assert np.array_equal(alone.edges, graded(31.5, 28.5, 64, 2.5, 2.5)[::-1])
     assert contact_line((28.5, 31.5), Mesh(16), chamfered, ridge).n == 16
-    with pytest.raises(InputError, match=r"mesh.contact_elements = 15: .* 4 pieces .* least 16"):
+    with pytest.raises(rw.InputError, match=r"mesh.contact_elements = 15: .* 4 pieces .* least 16"):
         contact_line((28.5, 31.5), Mesh(15), chamfered, ridge)
 
 
@@ -146,12 +146,12 @@ def test_grading_one_is_uniform_and_doubling_halves():
     ],
 )
 def test_impossible_sections_are_refused(bad):
-    with pytest.raises(InputError, match="section"):
+    with pytest.raises(rw.InputError, match="section"):
         Section(*bad)
 
 
 def test_a_line_outside_the_section_is_refused():
-    with pytest.raises(InputError, match="contact line"):
+    with pytest.raises(rw.InputError, match="contact line"):
         boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((0.5, 2.0), Mesh(4)), Mesh(4))
 
 

@@ -4,25 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import ThresholdLaw, bodies, updated_geometry
 from paths import CASES
 from reference_cases import paper_case
 
-from ringwear_par.cases.files.reading import read_case
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.mesh import Mesh, case_slopes, common_slope, contact_line
-from ringwear_par.errors import ComputationError
-from ringwear_par.history.elastic.bodies import bodies
-from ringwear_par.history.elastic.pairs import assemble, updated_geometry
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 
 @pytest.mark.parametrize("name", ["chamfer", "sphere"])
 def test_an_update_is_a_fresh_assembly(name, comm):
     """Whatever updates came before, to the last bit."""
-    case = read_case(CASES / f"{name}.toml", ["mesh.contact_elements=32"])
+    case = rw.read_case(CASES / f"{name}.toml", ["mesh.contact_elements=32"])
     geometry, n = updated_geometry(case, comm), case.line.n
-    unworn, exact = geometry.update(np.zeros((2, n))), assemble(case, comm)
+    unworn, exact = geometry.update(np.zeros((2, n))), rw.assemble(case, comm)
     assert unworn.key == exact.key
     assert np.array_equal(unworn.normal, exact.normal)
     x = np.linspace(0.0, 1.0, n)
@@ -55,8 +52,8 @@ def test_uniform_wear_is_a_lower_ring(comm):
     h = 0.5
     pair = updated_geometry(case, comm).update(np.full((2, case.line.n), h))
     shorter = replace(case, upper=replace(case.upper, z=(20.0, 40.0 - h)))
-    exact = assemble(shorter, comm)
-    softer = np.abs(exact.normal[1] - assemble(case, comm).normal[1]).max()
+    exact = rw.assemble(shorter, comm)
+    softer = np.abs(exact.normal[1] - rw.assemble(case, comm).normal[1]).max()
     assert np.abs(pair.normal[1] - exact.normal[1]).max() < 2e-3 * softer
 
 
@@ -76,5 +73,5 @@ def test_wear_at_the_nodes():
 
 def test_wear_through_half_a_body_is_an_error(comm):
     case = replace(paper_case(Mesh(16)), wear_lower=ThresholdLaw(1e-7))
-    with pytest.raises(ComputationError, match="more than half of the height"):
+    with pytest.raises(rw.ComputationError, match="more than half of the height"):
         updated_geometry(case, comm).update(np.full((2, 16), 10.5))

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import Body, BodyCost
 from ringwear_par.elasticity.bem.pair import assemble_pair, pair_key, symmetric
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Section
-from ringwear_par.errors import ComputationError
 
 CONTACT, MESH = (28.5, 31.5), Mesh(16)
 LOWER = Body(Section((20.0, 40.0), 20.0), 210e3, 0.3, "clamped")
@@ -61,5 +61,5 @@ def test_compliances_of_both_bodies_add_up(pair):
 
 def test_a_compliance_that_is_none_is_refused(pair):
     wrong = replace(pair, normal=-pair.normal)
-    with pytest.raises(ComputationError, match="16 contact elements: not positive definite"):
+    with pytest.raises(rw.ComputationError, match="16 contact elements: not positive definite"):
         wrong.compliance((1.0, 1.0))

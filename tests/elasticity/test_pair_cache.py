@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ringwear_par.verification.histories import paper_case
+from reference_cases import paper_case
 
 import ringwear_par as rw
 from ringwear_par.elasticity import pair_cache

@@ -6,11 +6,11 @@ import active_set
 import numpy as np
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.elasticity.bem import pair as pair_module
 from ringwear_par.elasticity.bem.pair import assemble_pair, symmetric
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.errors import ComputationError
 
 CONTACT, FORCE = (28.5, 31.5), 28274.334
 WIDE, NARROW = Section((20.0, 40.0), 20.0), Section(CONTACT, 20.0)
@@ -160,5 +160,5 @@ def test_what_is_not_positive_definite_is_told(comm):
     wrong = replace(pair, normal=normal)
     with pytest.raises(np.linalg.LinAlgError):
         symmetric(pair.line, normal.sum(axis=0))
-    with pytest.raises(ComputationError, match="not positive definite; a finer mesh"):
+    with pytest.raises(rw.ComputationError, match="not positive definite; a finer mesh"):
         wrong.compliance((1.0, 1.0))

@@ -4,23 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import Stepping, parse_case, trace, young
 from paths import CASES, PAPER
 from reference_cases import paper_case
 
-from ringwear_par.cases.case import Stepping
-from ringwear_par.cases.files.reading import parse_case, read_case
+import ringwear_par as rw
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Section
-from ringwear_par.errors import InputError
-from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.observers.trace import trace
 
 CHAMFERED = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))
 
 
 def compliance_of(case, comm):
-    return assemble(case, comm).compliance(young(case))
+    return rw.assemble(case, comm).compliance(young(case))
 
 
 def with_faces(case, lower=(), upper=()):
@@ -53,7 +49,7 @@ def test_pressure_is_continuous_in_a_vanishing_chamfer(comm):
 
 
 def test_chamfers_come_into_contact_as_wear_proceeds(comm):
-    case = read_case(CASES / "chamfer.toml", ["wear.lower.p0=0", "time.steps=100"])
+    case = rw.read_case(CASES / "chamfer.toml", ["wear.lower.p0=0", "time.steps=100"])
     history = trace(case, comm)
     line, states = history.physics.line, history.states
     reach = [line.edges[:-1][s.contact.pressure > 0].min() for s in states]
@@ -71,7 +67,7 @@ def test_chamfers_come_into_contact_as_wear_proceeds(comm):
 
 
 def test_partly_overlapping_rings(comm):
-    case = read_case(CASES / "overlap.toml")
+    case = rw.read_case(CASES / "overlap.toml")
     assert case.contact == (38.0, 40.0)
     assert case.open_ends == (False, False)
     history = trace(case, comm)
@@ -88,7 +84,7 @@ def test_partly_overlapping_rings(comm):
 
 
 def test_a_sphere_wears_where_it_slides(comm):
-    case = read_case(CASES / "sphere.toml", ["mesh.contact_elements=48", "time.steps=20"])
+    case = rw.read_case(CASES / "sphere.toml", ["mesh.contact_elements=48", "time.steps=20"])
     assert case.open_ends == (False, True)
     modulus = 0.5 * 210e3 / (1 - 0.09)
     hertz = (0.75 * 200.0 * 20.0 / modulus) ** (1 / 3)
@@ -120,7 +116,7 @@ def test_clearance_is_closed_before_there_is_pressure(comm):
 
 def test_bodies_too_coarse_for_their_corners_are_refused():
     case = with_faces(paper_case(Mesh(8)), upper=CHAMFERED)
-    with pytest.raises(InputError, match="at least 12"):
+    with pytest.raises(rw.InputError, match="at least 12"):
         _ = case.line
 
 
@@ -128,7 +124,9 @@ def test_a_contact_line_that_misses_the_contact_is_refused():
     """A bump that mesh.contact leaves out would touch first."""
     bumps = [[28.5, 20.3], [29, 20.0], [29.5, 20.3], [30, 20.3], [30.8, 20.05], [31.5, 20.4]]
     text = PAPER.read_text()
-    with pytest.raises(InputError, match=r"mesh.contact = \[30.1, 31.4\].*nearer.*outside, 0 mm"):
+    with pytest.raises(
+        rw.InputError, match=r"mesh.contact = \[30.1, 31.4\].*nearer.*outside, 0 mm"
+    ):
         parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [30.1, 31.4]})
     parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [28.6, 31.4]})
 

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from parts import bodies, boundary_recovery, first_contact, young
 from paths import CASES
 from reference_cases import SORTS, Rings, ring_case
 
-from ringwear_par.cases.files.reading import read_case
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import condense, contact_problem, solve_bodies
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.mesh import (
@@ -20,9 +21,6 @@ from ringwear_par.elasticity.mesh import (
 )
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.stress.fields import FACES
-from ringwear_par.history.elastic.bodies import bodies, young
-from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
-from ringwear_par.history.start import first_contact
 
 CONTACT = (28.5, 31.5)
 TAN = math.tan(math.radians(10.0))
@@ -48,7 +46,7 @@ def test_cones_slope_alike_on_all_elements(tangent):
 
 
 def test_a_sphere_slopes_as_one_and_not_in_steps_of_its_samples():
-    case = read_case(CASES / "sphere.toml", {"mesh.contact_elements": 48})
+    case = rw.read_case(CASES / "sphere.toml", {"mesh.contact_elements": 48})
     lower, upper = case_slopes(case.sections, case.line, case.mesh)
     r, steep = case.line.r, case.line.r > 0.1
     exact = r / np.sqrt(20.0**2 - r**2)  # rises outwards in the frame of the case
@@ -114,7 +112,7 @@ def test_pressure_acts_along_the_flatter_face_or_the_axis():
 def cones(comm):
     """Matched cones of 10 degrees on two meshes, with their pairs."""
     cases = [ring_case(SORTS["cones of 10 degrees"], Mesh(n)) for n in (16, 32)]
-    return [(case, assemble(case, comm)) for case in cases]
+    return [(case, rw.assemble(case, comm)) for case in cases]
 
 
 def test_a_pair_upside_down_is_the_same_pair(comm):

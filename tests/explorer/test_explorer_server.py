@@ -11,12 +11,12 @@ from types import SimpleNamespace
 import pytest
 from commands import ringwear, sentences
 from explorer_server import served
+from parts import main
 from paths import PAPER
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 import ringwear_par as rw
-from ringwear_par.cli import main
 from ringwear_par.explorer.server import explore
 
 SMALL = ["mesh.contact_elements=12", "time.steps=8"]

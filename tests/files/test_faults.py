@@ -5,10 +5,10 @@ import shutil
 import tomllib
 
 import pytest
+from parts import main
 from paths import CASES, FIT, PAPER, ROOT
 
 import ringwear_par as rw
-from ringwear_par.cli import main
 
 FAULTS = tomllib.loads((ROOT / "tests/faults.toml").read_text(encoding="utf-8"))
 BASES, COMMANDS = FAULTS.pop("bases"), FAULTS.pop("command")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringwear_par.errors import InputError
+import ringwear_par as rw
 from ringwear_par.files.folders import refuse_others
 
 
@@ -24,5 +24,7 @@ def test_outcomes_of_other_commands_are_not_replaced(tmp_path, name, command, re
     if not refused:
         refuse_others(tmp_path, command)
         return
-    with pytest.raises(InputError, match=f"is the folder of {refused} .*must be another, or new"):
+    with pytest.raises(
+        rw.InputError, match=f"is the folder of {refused} .*must be another, or new"
+    ):
         refuse_others(tmp_path, command)

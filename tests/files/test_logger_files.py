@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringwear_par.errors import InputError
+import ringwear_par as rw
 from ringwear_par.files.measurements import measurements_in
 
 HOUR = 3600.0
@@ -83,7 +83,7 @@ def test_a_day_ends_at_24(time, there):
     if there:
         assert column(read, 0, HOUR).tolist() == [0.0, HOUR]
         return
-    with pytest.raises(InputError, match=r"line 3: .*no such hour; must be from 0:00 to 24:00"):
+    with pytest.raises(rw.InputError, match=r"line 3: .*no such hour; must be from 0:00 to 24:00"):
         column(read, 0, HOUR)
 
 
@@ -145,7 +145,7 @@ def test_what_cannot_be_read_is_told_by_its_line(text, said):
         column(columns, 0, HOUR)
         column(columns, 1)
 
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(rw.InputError) as caught:
         read()
     assert said in str(caught.value)
     assert "a.csv: " in str(caught.value)
@@ -160,12 +160,12 @@ def test_three_decimals_are_no_thousands():
 
 def test_long_files_are_looked_at_once():
     text = "\n".join([*(f"channel {i}; of the rig" for i in range(20_000)), "x;1;2"])
-    with pytest.raises(InputError, match="must have 2, as the first line"):
+    with pytest.raises(rw.InputError, match="must have 2, as the first line"):
         table(text)
     read = table("\n".join(["t;z", *(f"{i};{i}" for i in range(50_000))]))
     assert column(read, 1)[-1] == 49_999
 
 
 def test_cells_that_nothing_known_separates():
-    with pytest.raises(InputError, match=r"line 1: t z: is one column; .* semicolons or tabs"):
+    with pytest.raises(rw.InputError, match=r"line 1: t z: is one column; .* semicolons or tabs"):
         table("t z\n0 1\n1 2\n")

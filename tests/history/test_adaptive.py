@@ -6,19 +6,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_steps import change_steps
+from parts import (
+    Load,
+    NonLocalLaw,
+    Output,
+    PowerLaw,
+    RunningInLaw,
+    Stepping,
+    Table,
+    ThresholdLaw,
+    integral,
+)
 from reference_cases import OMEGA
 
-from ringwear_par.cases.case import Load, Output, Stepping
-from ringwear_par.errors import ComputationError
+import ringwear_par as rw
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
-from ringwear_par.schedules import Table, integral
-from ringwear_par.wear.laws.non_local import NonLocalLaw
-from ringwear_par.wear.laws.power import PowerLaw
-from ringwear_par.wear.laws.running_in import RunningInLaw
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 FORCE = 45238.934
 
@@ -195,11 +200,11 @@ def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
 
 def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
-        raise ComputationError("contact: no")
+        raise rw.ComputationError("contact: no")
 
     change_steps(monkeypatch, never)
     with pytest.raises(
-        ComputationError,
+        rw.ComputationError,
         match=r"^contact: no, and no step is short enough; in step 1, from time 0 s$",
     ):
         stepped(time=until(10.0))
@@ -211,6 +216,6 @@ def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monk
 
     change_steps(monkeypatch, wrong)
     with pytest.raises(
-        ComputationError, match=r"^errors exceed 2e-06 mm .*time.pressure_tolerance = 0\.1"
+        rw.ComputationError, match=r"^errors exceed 2e-06 mm .*time.pressure_tolerance = 0\.1"
     ):
         stepped(time=until(10.0))

@@ -8,21 +8,17 @@ import numpy as np
 import pytest
 import random_cases
 from one_contact import OneContact
+from parts import ContactEngine, HistoriesError, Stepping, ThresholdLaw, in_time, make_case
 from paths import CASES
 
-from ringwear_par.cases.case import Stepping
-from ringwear_par.cases.files.reading import make_case, read_case
+import ringwear_par as rw
 from ringwear_par.contact import correction
-from ringwear_par.contact.engine import ContactEngine
-from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import method_of
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import initial_state
-from ringwear_par.schedules import in_time
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 CHAMFER = CASES / "chamfer.toml"
 #: of the random cases with seed 1: contact that does not reach the edges, or has a corner
@@ -180,7 +176,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
 def test_contact_does_not_remember_the_load_before(name, load, comm):
     """Without wear, the same load gives the same contact, whatever was before it."""
     key = next(iter(load))
-    case = read_case(CHAMFER.with_name(f"{name}.toml"), {
+    case = rw.read_case(CHAMFER.with_name(f"{name}.toml"), {
         "wear.lower": None, "wear.upper": None, "load.force": None, "load.pressure": None,
         "mesh.contact_elements": 32, "time": {"scheme": "implicit", "step": 1.0, "steps": 6},
         "load.control": "force" if key == "load.pressure" else "displacement", **load,
@@ -194,7 +190,7 @@ def test_contact_does_not_remember_the_load_before(name, load, comm):
 
 def test_explicit_steps_are_corrected_each(comm):
     """Their pressures are those of the collocated equations, though the load grows tenfold."""
-    case = read_case(CHAMFER, {
+    case = rw.read_case(CHAMFER, {
         "mesh.contact_elements": 24, "time": {"scheme": "explicit", "step": 0.1, "steps": 4},
         "load.pressure": [[0.0, 20.0], [0.2, 200.0], [0.3, 30.0], [0.4, 100.0]],
     })  # fmt: skip
@@ -221,7 +217,7 @@ def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkey
     monkeypatch.setattr(correction, "_EXACT", 1e-30)
     told = r"after 10 corrections .* is off by .*allowed 1e-30"
     one, two = Physics.of([case], pair), Physics.of([case, case], pair)
-    with one.contacts() as contacts, pytest.raises(ComputationError, match=told):
+    with one.contacts() as contacts, pytest.raises(rw.ComputationError, match=told):
         initial_state(one, contacts)
     with two.contacts() as contacts, pytest.raises(HistoriesError) as failure:
         initial_state(two, contacts)

@@ -5,19 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import Load, Mesh, Ring, Stepping, ThresholdLaw
 from paths import PAPER
 from reference_cases import paper_case, round_face
 
 import ringwear_par as rw
-from ringwear_par.cases.case import Load, Ring, Stepping
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.cases import check_mesh
 from ringwear_par.history.start import initial_state
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
@@ -112,13 +109,13 @@ def test_bodies_that_interpenetrate_too_much(comm):
                 0.5 * pressed, rel=5e-3
             )  # a lower ring a little higher
         else:
-            with pytest.raises(InputError, match=r"interpenetrate by 0\.087\d+ mm at element 0"):
+            with pytest.raises(rw.InputError, match=r"interpenetrate by 0\.087\d+ mm at element 0"):
                 states(one, comm)
 
 
 def test_contact_that_reaches_an_open_end_is_told(comm):
     mesh = Mesh(16, contact=(29.0, 31.5))
-    with pytest.raises(ComputationError, match=r"reached the end of mesh.contact at r = 29 mm"):
+    with pytest.raises(rw.ComputationError, match=r"reached the end of mesh.contact at r = 29 mm"):
         states(replace(paper_case(mesh), time=Stepping("implicit", 1.0, 1)), comm)
 
 
@@ -133,11 +130,11 @@ def test_places_that_stand_out_are_told_with_where(comm):
     with physics.contacts() as contacts:
         state = replace(initial_state(physics, contacts), wear=wear[:, None])
         told = r"lower is worn by 8 mm at r = .* and by 0\.01 mm at r = .* beside it"
-        with pytest.raises(ComputationError, match=told):
+        with pytest.raises(rw.ComputationError, match=told):
             geometry.follow(physics, contacts, state)
 
 
 def test_a_hole_that_drowns_in_round_off_is_refused():
     case = rw.read_case(PAPER, {"lower.r": [1e-15, 40.0]})
-    with pytest.raises(InputError, match=r"inner radius must be 0 or at least 4\.0e-12 mm"):
+    with pytest.raises(rw.InputError, match=r"inner radius must be 0 or at least 4\.0e-12 mm"):
         check_mesh(case, "a.toml")

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import Table, bends, computed, integral, key_numbers
 from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.results.key_numbers import key_numbers
-from ringwear_par.schedules import Table, bends, integral
-from ringwear_par.studies.execution.batches import computed
 
 K = 4e-7
 MU = [[0.0, 0.1], [300.0, 0.1], [330.0, 0.25], [390.0, 0.05]]

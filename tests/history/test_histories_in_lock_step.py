@@ -5,25 +5,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import (
+    ArchardLaw,
+    LawError,
+    Load,
+    Mesh,
+    NonLocalLaw,
+    Output,
+    PowerLaw,
+    RunningInLaw,
+    Stepping,
+    Table,
+    TableLaw,
+    ThresholdLaw,
+    UserLaw,
+    one,
+)
 from paths import CASES
 from reference_cases import CONTACT, OMEGA, Rings, paper_case, ring_case
 
-from ringwear_par.batched import one
-from ringwear_par.cases.case import Load, Output, Stepping
-from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.errors import ComputationError, LawError
+import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate, simulate_one
-from ringwear_par.schedules import Table
-from ringwear_par.wear.laws.archard import ArchardLaw
-from ringwear_par.wear.laws.non_local import NonLocalLaw
-from ringwear_par.wear.laws.power import PowerLaw
-from ringwear_par.wear.laws.running_in import RunningInLaw
-from ringwear_par.wear.laws.table import TableLaw
-from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.laws.user import UserLaw
 
 ADAPTIVE = Stepping("adaptive", until=60.0)
 STEPPINGS = {
@@ -134,7 +138,9 @@ def cones(flat):
 
 def layers(flat):
     """Some are worn through, at interfaces of their own."""
-    base = read_case(CASES / "wear_through.toml", {"mesh.contact_elements": 16, "time.end": 60.0})
+    base = rw.read_case(
+        CASES / "wear_through.toml", {"mesh.contact_elements": 16, "time.end": 60.0}
+    )
     keys = ("lower.layers[0].thickness", "lower.layers[0].wear.k", "lower.layers[0].wear.p0",
             "wear.lower.k")  # fmt: skip
     numbers = [(3e-3, 1e-8, 0.0, 1e-7), (3e-4, 4e-8, 60.0, 3e-7), (2e-4, 3e-8, 100.0, 1e-6),
@@ -268,7 +274,7 @@ def test_those_worn_too_far_leave(flat, pair):
     assert list(failures) == [2]
     assert "worn off lower" in str(failures[2])
     assert sorted(finished) == [0, 1, 3, 4, 5]
-    with pytest.raises(ComputationError, match="worn off lower"):
+    with pytest.raises(rw.ComputationError, match="worn off lower"):
         simulate_one(cases[2], ALONE, pair=pair)
 
 

@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import Load, Stepping, ThresholdLaw
 
-from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.stable_steps import stable_steps
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 
 @pytest.fixture
@@ -81,9 +80,8 @@ def test_fixed_approach_unloads(stepped):
 
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
+    from parts import Mesh
     from reference_cases import paper_case
-
-    from ringwear_par.elasticity.mesh import Mesh
 
     case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))
     from mpi4py import MPI

@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 from changed_steps import change_steps
 from mpi4py import MPI
+from parts import Mesh, Output, PowerLaw, RunningInLaw, Stepping, ThresholdLaw
 from reference_cases import paper_case
 
-from ringwear_par.cases.case import Output, Stepping
-from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.errors import ComputationError
+import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.wear.laws.power import PowerLaw
-from ringwear_par.wear.laws.running_in import RunningInLaw
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 ALONE = MPI.COMM_SELF
 LAWS = {
@@ -80,7 +76,9 @@ def test_an_estimate_that_is_no_number_fails_the_case(paper, monkeypatch, name):
         return replace(step, **{name: np.nan * step.wear_error})
 
     change_steps(monkeypatch, wrong)
-    with pytest.raises(ComputationError, match=r"^the estimated error of the step is not a number"):
+    with pytest.raises(
+        rw.ComputationError, match=r"^the estimated error of the step is not a number"
+    ):
         history(paper, LAWS["threshold"], 1e-5)
     case, pair = paper
     case = replace(case, time=Stepping("adaptive", until=50.0))

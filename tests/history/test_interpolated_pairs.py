@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import computed
 
 import ringwear_par as rw
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.interpolated_pairs import TOLERANCE, interpolate
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.studies.execution.batches import computed
 
 CASE = {
     "lower.r": [20.0, 40.0], "lower.z": [0.0, 20.0], "lower.young": 1e4, "lower.poisson": 0.3,

@@ -5,11 +5,11 @@ import tracemalloc
 from dataclasses import replace
 
 import pytest
+from parts import Mesh
 from reference_cases import paper_case
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem import solve
-from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.refusals.cases import check_memory, memory_needed
 

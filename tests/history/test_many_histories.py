@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import Load, Mesh
 from reference_cases import OMEGA, paper_case
 
-from ringwear_par.cases.case import Load
-from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.physics import Physics

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import results_of
 from paths import ROOT
 
 import ringwear_par as rw
-from ringwear_par.studies.execution.many import results_of
 
 ENDS = np.array([2.0, 5.0, 15.0, 40.0, 60.0, 100.0])
 FACTORS = np.array([0.5, 2.0, 1.3, 0.2, 1.0, 0.7])

@@ -4,17 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import ArchardLaw, Closing, Output, WearIncrement
 from paths import CASES
 
-from ringwear_par.cases.case import Output
-from ringwear_par.cases.files.reading import read_case
+import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import find_closing_elements
-from ringwear_par.wear import LocalState
-from ringwear_par.wear.increment import Closing, WearIncrement
-from ringwear_par.wear.laws.archard import ArchardLaw
 
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
 
@@ -40,7 +37,7 @@ def pressure_errors(pairs):
 
 
 def test_the_crown_has_no_peaks_where_contact_grows(comm):
-    case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 64, "time.end": 300.0})
+    case = rw.read_case(CASES / "crown.toml", {"mesh.contact_elements": 64, "time.end": 300.0})
     history, pairs = compared(case, comm, 1e-7)
     errors = pressure_errors(pairs)
     loose = replace(case, time=replace(case.time, pressure_tolerance=1e3))
@@ -57,14 +54,14 @@ def test_a_smaller_tolerance_of_pressure_is_more_accurate(comm):
     for tolerance in (0.3, 0.03):
         changes = {"mesh.contact_elements": 32, "time.end": 100.0,
                    "time.pressure_tolerance": tolerance}  # fmt: skip
-        _, pairs = compared(read_case(CASES / "crown.toml", changes), comm, 1e-7)
+        _, pairs = compared(rw.read_case(CASES / "crown.toml", changes), comm, 1e-7)
         errors.append(pressure_errors(pairs))
     assert np.median(errors[1]) < 0.7 * np.median(errors[0])
     assert errors[1].max() < errors[0].max()
 
 
 def test_the_spheres_penetration_does_not_wobble(comm):
-    case = read_case(CASES / "sphere.toml", {**SPHERE, "mesh.contact_elements": 48})
+    case = rw.read_case(CASES / "sphere.toml", {**SPHERE, "mesh.contact_elements": 48})
     _, pairs = compared(case, comm, 1e-7)
     assert pressure_errors(pairs).max() < 0.05
     approach, exact = (np.array([pair[i].contact.approach for pair in pairs]) for i in (0, 1))
@@ -73,7 +70,7 @@ def test_the_spheres_penetration_does_not_wobble(comm):
 
 @pytest.fixture(scope="module")
 def crown(comm):
-    case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 32})
+    case = rw.read_case(CASES / "crown.toml", {"mesh.contact_elements": 32})
     return case, assemble(case, comm)
 
 
@@ -95,7 +92,7 @@ def test_wear_that_closes_a_gap_first():
     """Depth, its derivative and its potential go together, and gap and wear are those of a step."""
     p = np.array([0.0, 1.0, 2.0, 5.0, 5.0])
     nothing = np.zeros(5)
-    at = LocalState(0.0, np.full(5, 12.0), np.full(5, 10.0), 0.1, nothing, nothing)
+    at = rw.LocalState(0.0, np.full(5, 12.0), np.full(5, 10.0), 0.1, nothing, nothing)
     closing = Closing(np.array([1e-6, 1e-6, 3e-6, 3e-6, 0.0]), np.full(5, 2.0))
     laws = ArchardLaw(1e-7), ArchardLaw(5e-8)
     wear = WearIncrement(laws, (at, at), 2.0, closing=closing)

@@ -5,15 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import D_HISTORIES, D_PROFILES, Recorder, computed
 from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.variables import D_HISTORIES, D_PROFILES
-from ringwear_par.studies.execution.batches import computed
 
 ALONE = MPI.COMM_SELF
 LAW = {"law": "threshold", "k": 1e-7, "p0": 10.0}

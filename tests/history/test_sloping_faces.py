@@ -5,15 +5,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import (
+    Mesh,
+    NonLocalLaw,
+    RunningInLaw,
+    Stepping,
+    ThresholdLaw,
+    WearIncrement,
+    averaging,
+    case_slopes,
+    common_slope,
+    compliance,
+    node_wear,
+    validity_warnings,
+)
 from paths import CASES, PAPER
 from reference_cases import CONTACT, Rings, ring_case
 from wearing import sliding
 
-from ringwear_par.cases.case import Stepping
-from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.bem.body import compliance
-from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.mesh import Mesh, case_slopes, common_slope
+import ringwear_par as rw
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
@@ -23,11 +33,6 @@ from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
-from ringwear_par.results.warnings import validity_warnings
-from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
-from ringwear_par.wear.laws.running_in import RunningInLaw
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 CHAMFER, PAPER = CASES / "chamfer.toml", PAPER
 DEGREES = 10.0
@@ -186,7 +191,7 @@ def cutting(comm):
         "mesh.geometry_tolerance": 0.005, "upper.chamfer": 0.2, "upper.young": 210e3,
         "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 400.0},
     }  # fmt: skip
-    return trace(read_case(CHAMFER, keys), comm)
+    return trace(rw.read_case(CHAMFER, keys), comm)
 
 
 def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cutting):
@@ -269,7 +274,7 @@ def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
         "upper.profile": [[28.5, 20.9], [30.0, 20.0], [31.5, 20.9]], "load.pressure": 20.0,
         "lower.young": 1e3, "upper.young": 2e5,
     }  # fmt: skip
-    case = read_case(PAPER, steep)
+    case = rw.read_case(PAPER, steep)
     text = flags(case, comm)["unlike_slopes"]
     words = text.split()
     r = float(words[words.index("r") + 2])
@@ -282,7 +287,7 @@ def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
     assert 5.0 < share <= 100.0
     assert text.count("\n") == 0
     assert 'mesh.geometry = "updated" follows the worn faces' in text
-    gentle = read_case(
+    gentle = rw.read_case(
         PAPER, {**steep, "upper.profile": [[28.5, 20.1], [30.0, 20.0], [31.5, 20.1]]}
     )
     assert "unlike_slopes" not in flags(gentle, comm)
@@ -294,8 +299,8 @@ def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_hav
         "mesh.contact_elements": 24, "upper.chamfer": 0.2, "upper.young": 210e3,
         "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 300.0},
     }  # fmt: skip
-    told = flags(read_case(CHAMFER, keys), comm)["unlike_slopes"]
+    told = flags(rw.read_case(CHAMFER, keys), comm)["unlike_slopes"]
     assert "the pressure acts as on a slope of 0 degrees" in told
     assert told.endswith('"updated" follows the worn faces')
-    following = read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
+    following = rw.read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
     assert 'mesh.geometry = "updated"' not in flags(following, comm).get("unlike_slopes", "")

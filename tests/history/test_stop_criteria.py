@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+from parts import computed, run_case
 from paths import PAPER
 from stored import assert_same
 
 import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.studies.execution.batches import computed
 
 SMALL = {"mesh.contact_elements": 12}
 FIXED = {"time.steps": 40}

@@ -11,7 +11,6 @@ from scipy.stats import multivariate_normal
 from scipy.stats import t as student_t
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
 from ringwear_par.identification import arviz_groups
 from ringwear_par.identification.summary import probabilities
 
@@ -116,5 +115,5 @@ def test_the_evidence_is_the_integral_of_the_likelihood(fit):
 
 def test_arviz_is_asked_for_in_one_sentence(fit, monkeypatch):
     monkeypatch.setitem(sys.modules, "arviz", None)
-    with pytest.raises(InputError, match=r"needs the Python package arviz; pip install"):
+    with pytest.raises(rw.InputError, match=r"needs the Python package arviz; pip install"):
         fit.to_arviz()

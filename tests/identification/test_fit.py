@@ -21,10 +21,9 @@ from laboratory import (
     write_table,
     write_tests,
 )
+from parts import parse_toml
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.estimation.misfit import Misfit
@@ -328,7 +327,7 @@ def test_starts_bounds_and_priors_have_units(tables):
     assert (k.start, k.bounds) == (1e-7, (1e-9, 1e-5))
     assert (p0.bounds, p0.prior) == ((0.0, 200.0), (20.0, 5.0))
     given["fit"]["parameters"]["wear.lower.p0"]["start"] = "1 mm"
-    with pytest.raises(InputError, match=r"must be in MPa \(mm is no unit of MPa\)"):
+    with pytest.raises(rw.InputError, match=r"must be in MPa \(mm is no unit of MPa\)"):
         read_fit(given)
 
 
@@ -415,6 +414,6 @@ def test_trials_that_a_law_does_not_allow_end_no_fit(tmp_path, comm):
     sought["wear.lower.k"] = {"start": 1e-7, "bounds": [1e-7, 1e-5]}
     sought["wear.lower.k_start"] = {"start": 1.001e-7, "bounds": [1e-9, 1.001e-7]}
     with pytest.raises(
-        InputError, match=r"bounds of wear.lower.k = \[1e-07, 1e-05\], wear.lower.k"
+        rw.InputError, match=r"bounds of wear.lower.k = \[1e-07, 1e-05\], wear.lower.k"
     ):
         fit(given, comm)

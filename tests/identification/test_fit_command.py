@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from laboratory import fit_tables, write_tests
-
-from ringwear_par.cli import main
-from ringwear_par.files.text import toml_value
+from parts import main, toml_value
 
 
 @pytest.fixture

@@ -14,11 +14,9 @@ from laboratory import (
     FITTED,
     TRUTH,
 )
+from parts import StopSignals, main, toml_value
 
 import ringwear_par as rw
-from ringwear_par.cli import main
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.text import toml_value
 from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import fit_command
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -27,7 +25,6 @@ from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fit_problem
 from ringwear_par.identification.fit_command import run_fit
 from ringwear_par.identification.model.rounds import StoppedError
-from ringwear_par.results.execution.stop_signals import StopSignals
 
 
 def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, monkeypatch):
@@ -38,7 +35,7 @@ def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, m
     monkeypatch.setitem(sys.modules, "emcee", None)  # as if it were not there
     run_fit(path, tmp_path / "out", comm, dry_run=True)
     assert 'missing: fit.intervals: "posterior" needs emcee: pip install' in capsys.readouterr().out
-    with pytest.raises(InputError, match=r'fit.toml: fit.intervals: "posterior" needs emcee'):
+    with pytest.raises(rw.InputError, match=r'fit.toml: fit.intervals: "posterior" needs emcee'):
         run_fit(path, tmp_path / "out", comm)
     monkeypatch.undo()
     run_fit(path, tmp_path / "out", comm, dry_run=True)
@@ -55,10 +52,10 @@ def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monke
             return self
 
     monkeypatch.setattr(fit_room, "StopSignals", Signals)
-    with pytest.raises(ComputationError, match="stopped by SIGTERM") as caught:
+    with pytest.raises(rw.ComputationError, match="stopped by SIGTERM") as caught:
         fit(tables(), comm)
     assert "--restart" not in str(caught.value)
-    with pytest.raises(ComputationError, match="; nothing written"):
+    with pytest.raises(rw.ComputationError, match="; nothing written"):
         run_fit(*written, comm)
     (written[1] / "progress").mkdir(parents=True)
     (written[1] / "progress" / "0-0.json").write_text("{}")
@@ -182,15 +179,15 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
                 run_fit(path, folder, comm)
 
     solved = starts_room._solved
-    fails_with(ComputationError)
+    fails_with(rw.ComputationError)
     assert not folder.exists()
     fails_with(StoppedError)
     assert len(list((folder / "progress").iterdir())) == 1
-    with pytest.raises(InputError, match="interrupted; --restart goes on with it, --overwrite"):
+    with pytest.raises(rw.InputError, match="interrupted; --restart goes on with it, --overwrite"):
         run_fit(path, folder, comm)
     other = path.with_name("other.toml")
     other.write_text("# another\n" + path.read_text())
-    with pytest.raises(InputError, match="interrupted fit of another file"):
+    with pytest.raises(rw.InputError, match="interrupted fit of another file"):
         run_fit(other, folder, comm, restart=True)
     run_fit(path, folder, comm, restart=True)
     told = json.loads((folder / "fit.json").read_text())

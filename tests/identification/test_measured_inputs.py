@@ -16,10 +16,10 @@ from laboratory import (
     write_tests,
 )
 from mpi4py import MPI
+from parts import curve, penalised
 from scipy.interpolate import make_smoothing_spline
 
 import ringwear_par as rw
-from ringwear_par.files.smoothing import curve, penalised
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation.record_checks import input_trends
 from ringwear_par.identification.fit import fit_problem

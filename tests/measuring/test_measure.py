@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figure_texts import check_texts
+from parts import export
 from paths import ROOT
 from rig_records import (
     AREA,
@@ -26,7 +27,6 @@ from rig_records import record as readings
 
 import ringwear_par as rw
 from ringwear_par.measuring.analysis.repeats import repeats_of
-from ringwear_par.reports.spreadsheets import export
 
 EXAMPLE = ROOT / "scripts/measure"
 

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 from commands import NEEDS_MPIRUN, ringwear, sentences
+from parts import main
 from paths import ROOT
-
-from ringwear_par.cli import main
 
 EXAMPLE = ROOT / "scripts/measure"
 

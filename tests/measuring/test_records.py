@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parts import read_measurements, read_weighings
 
-from ringwear_par.cases.files.weighings import read_weighings
-from ringwear_par.errors import InputError
-from ringwear_par.files.measurements import read_measurements
+import ringwear_par as rw
 from ringwear_par.measuring.definition.records import read_record
 
 
@@ -186,5 +185,5 @@ def test_half_days_have_twelve_hours(read):
     rows = [f"2026-03-14 {1 + i // 60}:{i % 60:02d} PM;{i}" for i in range(80)]
     assert read("time;z_um", rows.__getitem__, 80).duration == 79 * 60.0
     rows[70] = rows[70].replace("2:10", "14:10")
-    with pytest.raises(InputError, match=r"line 72.*14:10 PM"):
+    with pytest.raises(rw.InputError, match=r"line 72.*14:10 PM"):
         read("time;z_um", rows.__getitem__, 80)

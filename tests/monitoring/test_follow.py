@@ -10,14 +10,19 @@ import pytest
 from commands import ringwear
 from laboratory import CASE, END, fit_tables, history, penetration, write_table
 from mpi4py import MPI
+from parts import (
+    ProcessNoise,
+    Rounds,
+    Series,
+    StopSignals,
+    fit_knowledge,
+    log_densities,
+    probabilities,
+    toml_text,
+)
 from scipy.special import logsumexp
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
-from ringwear_par.files.text import toml_text
-from ringwear_par.identification.definition.problem import ProcessNoise, Series
-from ringwear_par.identification.model.rounds import Rounds
-from ringwear_par.identification.summary import probabilities
 from ringwear_par.monitoring import bank
 from ringwear_par.monitoring.answer import probability_words
 from ringwear_par.monitoring.bank import Bank, quantiles
@@ -27,9 +32,6 @@ from ringwear_par.monitoring.outlook import time_to
 from ringwear_par.monitoring.prior_knowledge import followed_test
 from ringwear_par.monitoring.running_state import RunningTestState, Targets
 from ringwear_par.monitoring.running_test import BLOCKS, RunningTest, averaged
-from ringwear_par.prediction.draws import log_densities
-from ringwear_par.prediction.known import fit_knowledge
-from ringwear_par.results.execution.stop_signals import StopSignals
 
 pytestmark = pytest.mark.slow
 
@@ -327,7 +329,7 @@ def test_the_fit_file_may_not_change_what_is_followed(laboratory):
     ):
         assert changed != text
         path.write_text(changed)
-        with pytest.raises(InputError, match=sentence):
+        with pytest.raises(rw.InputError, match=sentence):
             followed.read()
     path.write_text(text)
     assert followed.read().keys == (KEY,)
@@ -382,7 +384,7 @@ def test_what_is_refused(laboratory, tmp_path):
         path = laboratory / "refused.toml"
         path.write_text(text)
         options = {"after": laboratory / "out", "once": True, **options}
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(rw.InputError, match=said):
             run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
         assert not (tmp_path / "out").exists()
 

@@ -66,7 +66,7 @@ def test_notebooks_and_pages_have_one_drawing():
 
 
 def test_the_command_draws_a_case_alone(capsys):
-    from ringwear_par.cli import main
+    from parts import main
 
     case = str(ROOT / "scripts/cases/paper.toml")
     assert main(["plot", case, "-o", "rig.svg", "--steps", "1"]) == 2

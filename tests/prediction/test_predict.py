@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from laboratory import CASE, TRUTH, fit_tables, history, one_test, penetration, record
 from mpi4py import MPI
+from parts import law_names, main
 
 import ringwear_par as rw
-from ringwear_par.cli import main
-from ringwear_par.errors import InputError
-from ringwear_par.identification.fitted_values import law_names
 from ringwear_par.prediction import predict as module
 from ringwear_par.prediction.known import doubts_of, fit_knowledge, sources_of
 from ringwear_par.prediction.summary import _error_of_ends
@@ -146,7 +144,7 @@ def test_what_is_refused(found, case, tmp_path):
         (fit, case, {"of": "S9"}, '"test 1", "test 2"'), (fit, case, {"draws": 0}, "draws"),
         (fit, case, {"seed": -1}, "seed"), ({}, case, {}, "dict"),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=re.escape(said)):
+        with pytest.raises(rw.InputError, match=re.escape(said)):
             rw.predict(source, case_, comm=MPI.COMM_SELF, **options)
 
 
@@ -160,7 +158,7 @@ def test_a_fit_that_was_edited_is_refused(found, case, tmp_path, entry, nonsense
     place = outcome if entry in outcome else next(iter(outcome["parameters"].values()))
     place[entry] = nonsense
     (folder / "fit.json").write_text(json.dumps(outcome))
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(rw.InputError, match="damaged"):
         rw.predict(folder, case, comm=MPI.COMM_SELF)
 
 

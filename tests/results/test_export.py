@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 from commands import NEEDS_MPIRUN, ringwear, sentences
+from parts import main
 from paths import CASES
 from vtkhdf import last_state
 
-from ringwear_par.cli import main
 from ringwear_par.files import spreadsheets
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import export as module

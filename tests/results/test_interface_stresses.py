@@ -4,10 +4,10 @@ import csv
 
 import numpy as np
 import pytest
+from parts import SIDES, mises
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress.fields import SIDES, mises
 from ringwear_par.results.storage.export import export
 
 HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}

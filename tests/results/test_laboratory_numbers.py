@@ -5,10 +5,10 @@ import csv
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import main
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.cli import main
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 

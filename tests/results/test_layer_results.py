@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import plot, profiles, share, worn_table
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.arrays import share
-from ringwear_par.pictures.figures import plot
-from ringwear_par.reports.run_page import profiles, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.storage.export import export
 

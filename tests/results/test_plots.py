@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from figure_texts import check_texts
+from parts import plot, plot_stored
 from paths import PAPER
 
-from ringwear_par.errors import InputError
-from ringwear_par.pictures.figures import plot
+import ringwear_par as rw
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import instants
 from ringwear_par.results.storage.result_files import open_result
-from ringwear_par.studies.pictures.plot import plot_stored
 
 
 @pytest.fixture(scope="module")
@@ -77,9 +76,9 @@ def test_what_is_drawn_is_what_is_stored(runs):
 
 
 def test_wrong_files(runs, tmp_path):
-    with pytest.raises(InputError, match="pressure"):
+    with pytest.raises(rw.InputError, match="pressure"):
         plot_stored([runs[2]], tmp_path / "a.png", "pressure")
-    with pytest.raises(InputError, match="not a result"):
+    with pytest.raises(rw.InputError, match="not a result"):
         plot([PAPER])
     assert not list(tmp_path.iterdir())
 
@@ -124,7 +123,7 @@ def test_deformed_sections(tmp_path, comm, case):
 
 
 def test_results_and_files_are_drawn_alike(runs, tmp_path):
-    from ringwear_par.pictures.style import save_figure
+    from parts import save_figure
 
     first, second = map(open_result, runs[:2])
     sources = [[first, str(runs[1])], [runs[0], second], runs[:2]]
@@ -143,13 +142,13 @@ def test_results_and_files_are_drawn_alike(runs, tmp_path):
         np.array_equal(axes.lines[0].get_ydata(), 1e3 * first.histories["penetration"])
         for axes in alone
     )
-    with pytest.raises(InputError, match="result files"):
+    with pytest.raises(rw.InputError, match="result files"):
         plot([first], profiles_of=[second])
 
 
 def test_every_history_has_its_panel(runs):
     """What is drawn follows from what is stored: rates are means between states."""
-    from ringwear_par.pictures.run_panels import HISTORY_PANELS
+    from parts import HISTORY_PANELS
 
     result = open_result(runs[0])  # both bodies wear
     time, area = result.histories["time"], result.line.area.sum()
@@ -198,7 +197,7 @@ def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
     assert all("holds no fields on the bodies' boundaries" in why for _, _, why in told)
     (axes,) = plot(runs[2], "wear,penetration,pressure").axes
     assert axes.get_ylabel().startswith("penetration")
-    with pytest.raises(InputError, match="warmth"):
+    with pytest.raises(rw.InputError, match="warmth"):
         plot(runs[0], "wear,warmth")
 
 
@@ -266,8 +265,8 @@ def test_a_history_of_one_state_has_no_rate(runs):
 
 
 def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
-    from ringwear_par.explorer.figures import Drawing
-    from ringwear_par.reports.run_page import profiles
+    from parts import Drawing, profiles
+
     from ringwear_par.results.key_numbers import pressure_peak
 
     words = ["mesh.contact_elements=32", "time.steps=8"]

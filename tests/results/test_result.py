@@ -10,12 +10,11 @@ import pytest
 import xarray
 from last_states import with_last_pressure
 from mpi4py import MPI
+from parts import HISTORY_PANELS, Stepping
 from paths import CASES, PAPER
 from stored import assert_same, contents
 
 import ringwear_par as rw
-from ringwear_par.cases.case import Stepping
-from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import check_numbers, key_numbers

@@ -5,11 +5,11 @@ import shutil
 import h5py
 import pytest
 import xarray
+from parts import FigureFile
 from paths import PAPER
 from stored import assert_same
 
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.pictures.figures import FigureFile
+import ringwear_par as rw
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution import run as monitor
 from ringwear_par.results.execution.run import run_case
@@ -40,7 +40,7 @@ def test_a_longer_history_extends_a_complete_one(tmp_path, comm):
 def test_restart_with_fewer_steps_is_refused(tmp_path, comm):
     path = tmp_path / "run.h5"
     run_case(PAPER, path, SMALL, comm=comm)
-    with pytest.raises(InputError, match=r"holds 20 steps, time\.steps = 10"):
+    with pytest.raises(rw.InputError, match=r"holds 20 steps, time\.steps = 10"):
         run_case(PAPER, path, [*SMALL, "time.steps=10"], comm=comm, restart=True)
 
 
@@ -74,7 +74,7 @@ def test_a_failed_last_write_is_an_error_on_all_ranks(tmp_path, comm, monkeypatc
         raise OSError(28, "No space left on device", "run.h5")
 
     monkeypatch.setattr(driver, "write_result", failing)
-    with pytest.raises(ComputationError, match=r"run.h5: No space left on device"):
+    with pytest.raises(rw.ComputationError, match=r"run.h5: No space left on device"):
         run_case(PAPER, tmp_path / "run.h5", SMALL, comm=comm)
     assert not list(tmp_path.glob("*"))
 
@@ -92,6 +92,6 @@ def test_outputs_that_are_not_ours_are_refused(tmp_path, comm, kind):
         path = tmp_path / "no" / "run.h5"
     before = sorted(tmp_path.rglob("*"))
     match = {"folder": "is a folder", "nowhere": "does not exist"}.get(kind, "not a result file")
-    with pytest.raises(InputError, match=match):
+    with pytest.raises(rw.InputError, match=match):
         run_case(PAPER, path, SMALL, comm=comm)
     assert sorted(tmp_path.rglob("*")) == before

@@ -5,7 +5,6 @@ from changed_steps import change_steps
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result, read_status
 
@@ -18,7 +17,7 @@ TOO_MUCH = [*SMALL, "wear.lower.k=1e-3", "time.step=20"]
 def failed(tmp_path, comm):
     """A run that has failed, and kept the steps before."""
     path = tmp_path / "run.h5"
-    with pytest.raises(ComputationError, match=r"half of its height.*holds the steps before"):
+    with pytest.raises(rw.ComputationError, match=r"half of its height.*holds the steps before"):
         run_case(PAPER, path, TOO_MUCH, comm=comm)
     return path
 
@@ -26,7 +25,7 @@ def failed(tmp_path, comm):
 @pytest.fixture
 def interrupted(tmp_path, comm, stopped_after):
     path = tmp_path / "run.h5"
-    with stopped_after(7), pytest.raises(ComputationError, match="SIGTERM after step 7"):
+    with stopped_after(7), pytest.raises(rw.ComputationError, match="SIGTERM after step 7"):
         run_case(PAPER, path, SMALL, comm=comm)
     return path
 
@@ -48,7 +47,7 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
         (other, {"restart": True}, "another case"),
         (SMALL, {"restart": True, "overwrite": True}, "--overwrite"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(rw.InputError, match=said):
             run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert read_status(interrupted) == ("incomplete", 7)
     assert "step 7 of 20" in open_result(interrupted).summary().splitlines()[0]
@@ -59,7 +58,7 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
 def test_a_case_file_is_never_overwritten(tmp_path, comm):
     path = tmp_path / "case.toml"
     path.write_text(PAPER.read_text())
-    with pytest.raises(InputError, match="case file"):
+    with pytest.raises(rw.InputError, match="case file"):
         run_case(path, path, SMALL, comm=comm, overwrite=True)
     assert path.read_text() == PAPER.read_text()
 
@@ -84,12 +83,14 @@ def test_a_failure_at_a_time_of_output_leaves_no_row_twice(tmp_path, comm, monke
 
     def failing(scheme, physics, contacts, state, end):
         if end[0] == 2.5:
-            raise ComputationError("contact: no")
+            raise rw.ComputationError("contact: no")
         return scheme(physics, contacts, state, end)
 
     with monkeypatch.context() as patch:
         change_steps(patch, failing)
-        with pytest.raises(ComputationError, match=r": contact: no; in step 3, from time 2 s\. "):
+        with pytest.raises(
+            rw.ComputationError, match=r": contact: no; in step 3, from time 2 s\. "
+        ):
             run_case(PAPER, parts, keys, comm=comm)
     assert open_result(parts).histories["time"].tolist() == [0.0, 0.5]
     run_case(PAPER, parts, keys, comm=comm, restart=True)
@@ -133,7 +134,7 @@ def test_a_result_with_derivatives_does_not_go_on_without_them(tmp_path, comm):
     case = rw.read_case(PAPER, {key: float(value) for key, value in keys.items()})
     rw.simulate(case, comm, derivatives=["wear.lower.k"]).save(path)
     longer = [*SMALL, "time.steps=25"]
-    with pytest.raises(InputError, match="holds derivatives, which a run does not go on with"):
+    with pytest.raises(rw.InputError, match="holds derivatives, which a run does not go on with"):
         run_case(PAPER, path, longer, comm=comm, restart=True)
     assert read_status(path) == ("complete", 20)
     assert open_result(path).derivatives

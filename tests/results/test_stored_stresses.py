@@ -5,11 +5,10 @@ import csv
 import numpy as np
 import pytest
 from last_states import with_last_pressure
+from parts import COMPONENTS, StressRecovery, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress.fields import COMPONENTS, max_shear, mises, principal
-from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.results.storage.export import export
 
 BASE = {
@@ -165,7 +164,7 @@ def stored(tmp_path_factory, comm):
 
 
 def test_pictures_show_what_is_stored(stored, tmp_path):
-    from ringwear_par.studies.pictures.plot import plot_stored
+    from parts import plot_stored
 
     result = rw.open_result(stored)
     r, z = result.stress.grid

@@ -5,11 +5,10 @@ import json
 import h5py
 import numpy as np
 import pytest
+from parts import main
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.cli import main
-from ringwear_par.errors import InputError
 
 SMALL = ["--set", "mesh.contact_elements=8", "time.steps=3"]
 LAW = "from pathlib import Path\nPath({!r}).touch()\ndef rate(p, at):\n    return 0.0 * p\n"
@@ -61,7 +60,7 @@ def test_no_flipped_bit_gives_other_numbers(run):
         run.write_bytes(changed)
         try:
             found = numbers(run)
-        except InputError as error:
+        except rw.InputError as error:
             refused += 1
             assert "is damaged" in str(error)  # noqa: PT017
             continue

@@ -6,9 +6,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from parts import main
 from paths import ROOT
-
-from ringwear_par.cli import main
 
 pytestmark = pytest.mark.slow
 STORED = Path(__file__).with_name("summaries.txt")

@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import HISTORIES, HistoryColumns, Recorder, parse_case, restored, run_case, simulate_one
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.result import FailedResult, HistoryColumns
-from ringwear_par.results.storage.result_files import restored
-from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.many import simulate_all
 
@@ -42,7 +35,7 @@ def test_results_do_not_depend_on_the_batch(case):
     for one, other in zip(
         simulate_all(cases, ALONE), simulate_all(cases, ALONE, batch=2), strict=True
     ):
-        if isinstance(one, FailedResult):
+        if isinstance(one, rw.FailedResult):
             assert str(one.error) == str(other.error)
             continue
         assert np.array_equal(one.steps_made, other.steps_made)
@@ -57,7 +50,7 @@ def test_results_do_not_depend_on_the_batch(case):
 def test_results_are_those_of_single_cases(case, profiles):
     cases = cases_of(case, **{"output.profiles": profiles})
     for one, mine in zip(cases, simulate_all(cases, ALONE), strict=True):
-        if isinstance(mine, FailedResult):
+        if isinstance(mine, rw.FailedResult):
             with pytest.raises(rw.ComputationError) as caught:
                 rw.simulate(one, ALONE)
             assert str(caught.value) == str(mine.error)
@@ -100,7 +93,7 @@ def test_what_is_stored_goes_on_as_any_run(case, tmp_path):
 def test_columns_hold_what_results_do(case, profiles):
     """Failed and single ones among them, each history's rows together."""
     cases = cases_of(case, **{"output.profiles": profiles})
-    pair, seen = assemble(case, ALONE), set()
+    pair, seen = rw.assemble(case, ALONE), set()
     for block in computed(cases, pair, batch=3, results=True):
         columns = block.columns
         assert isinstance(columns, HistoryColumns)
@@ -135,7 +128,7 @@ def test_flags_are_those_of_single_cases(case):
     steep = {"time.scheme": "explicit", "time.step": 500.0, "time.steps": 2}
     cases = [case.replace(steep), case.replace({**steep, "time.step": 1e-3}),
              case.replace({"wear.lower.k": 1e-3, "time.steps": 3})]  # fmt: skip
-    pair, found = assemble(case, ALONE), {}
+    pair, found = rw.assemble(case, ALONE), {}
     for block in computed(cases, pair):
         found.update(zip(block.numbers, block.columns.flags, strict=True))
     for i, one in enumerate(cases):

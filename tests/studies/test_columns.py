@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parts import make_case, refuse_bad_laws, toml_text
 from swept import write_study
 
-from ringwear_par.cases.files.law_trials import refuse_bad_laws
-from ringwear_par.cases.files.reading import make_case
-from ringwear_par.errors import InputError
-from ringwear_par.files.text import toml_text
+import ringwear_par as rw
 from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition import study as studies
 from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
@@ -109,7 +107,7 @@ def one_by_one(tables):
         try:
             case = make_case(keys, name)
             refuse_bad_laws(case, name)
-        except InputError as error:
+        except rw.InputError as error:
             bad.append((number + 1, error.faults))
             continue
         found.setdefault(case_id(keys), (row, case, keys))
@@ -124,7 +122,7 @@ def test_studies_are_what_their_cases_are_one_by_one(tmp_path):
         wanted, faults = one_by_one(tables)
         try:
             found = read_study(tables)
-        except InputError as error:
+        except rw.InputError as error:
             told = error.faults
             assert told[: len(faults)] == faults
             more = told[len(faults) :]  # of a mesh
@@ -182,7 +180,7 @@ def test_ends_of_cases(tmp_path, end):
     tables = {"case": str(tmp_path / "base.toml"), "vary": {"time.end": {"values": [45, end, 80]}}}
     wanted, faults = one_by_one(tables)
     if faults:
-        with pytest.raises(InputError) as error:
+        with pytest.raises(rw.InputError) as error:
             read_study(tables)
         assert error.value.faults == faults
     else:

@@ -12,7 +12,6 @@ from commands import SHELL_ENVIRONMENT
 from swept import table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.errors import ComputationError
 
 pytestmark = pytest.mark.slow
 STUDY = """
@@ -72,7 +71,7 @@ def check(study, output, reference):
     """Sweep until it ends well, twice at most; compare all but the time that it took."""
     try:
         rw.sweep(study, output)
-    except ComputationError as error:
+    except rw.ComputationError as error:
         assert "the same command" in str(error)  # noqa: PT017
         rw.sweep(study, output)
     one, other = variables(output), variables(reference)
@@ -116,7 +115,7 @@ def test_damaged_files_are_computed_anew(output, swept, name, how):
 def test_a_damaged_checkpoint_is_not_gone_on_from(tmp_path, swept, comm, stopped_after, one_by_one):
     study, reference, _ = swept
     output = tmp_path / "out"
-    with stopped_after(7), pytest.raises(ComputationError, match="stopped by SIGTERM"):
+    with stopped_after(7), pytest.raises(rw.ComputationError, match="stopped by SIGTERM"):
         rw.sweep(study, output, comm)
     (path,) = (output / "inflight").iterdir()
     os.truncate(path, path.stat().st_size // 2)

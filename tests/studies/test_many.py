@@ -4,20 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import (
+    Load,
+    RingwearError,
+    Stepping,
+    Table,
+    ThresholdLaw,
+    Trace,
+    parse_case,
+    restored,
+    simulate_one,
+)
 from swept import CASE
 
-from ringwear_par.cases.case import Load, Stepping
-from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.errors import InputError, RingwearError
-from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.observers.trace import Trace
-from ringwear_par.results.execution.simulate import simulate
-from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.results.storage.result_files import restored
-from ringwear_par.schedules import Table
+import ringwear_par as rw
 from ringwear_par.studies.execution import many
 from ringwear_par.studies.execution.many import simulate_all
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +54,7 @@ def test_a_law_that_raises_fails_its_case_only(case, comm):
     """Under MPI, on one of the ranks; what is stored of a changed case says that it is changed."""
     bad = replace(case, wear_lower=BadLaw(1e-7, 40.0))
     found = simulate_all([case, bad, *[case] * comm.size], comm)
-    assert [type(each) for each in found] == [Result, FailedResult, *[Result] * comm.size]
+    assert [type(each) for each in found] == [rw.Result, rw.FailedResult, *[rw.Result] * comm.size]
     assert type(found[1].error) is RingwearError
     assert str(found[1].error) == r"ValueError: no such\nmaterial"
     assert found[1].case == bad.stored_text != bad.text
@@ -71,7 +73,7 @@ def test_an_assembly_that_raises_fails_its_group_only(case, comm, monkeypatch):
 
     monkeypatch.setattr(many, "assemble", failing)
     found = simulate_all([other, case, other], comm)
-    assert [type(each) for each in found] == [FailedResult, Result, FailedResult]
+    assert [type(each) for each in found] == [rw.FailedResult, rw.Result, rw.FailedResult]
     assert {str(found[i].error) for i in (0, 2)} == {"not enough memory: no room"}
 
 
@@ -86,9 +88,9 @@ def test_a_case_that_cannot_be_is_refused_before_any_assembly(case, comm, monkey
 
     monkeypatch.setattr(many, "assemble", modest)
     found = simulate_all([huge, case, huge], comm)
-    assert [type(each) for each in found] == [FailedResult, Result, FailedResult]
+    assert [type(each) for each in found] == [rw.FailedResult, rw.Result, rw.FailedResult]
     for each in found[::2]:
-        assert isinstance(each.error, InputError)
+        assert isinstance(each.error, rw.InputError)
         assert "GB of memory" in str(each.error)
         assert each.case == huge.text
 
@@ -99,7 +101,7 @@ def test_a_bad_case_does_not_take_its_group_along(case, comm, with_memory):
     bad = case.replace({"time.steps": 10**9})
     found = simulate_all([bad, case], comm)
     assert "GB of memory" in str(found[0].error)
-    assert isinstance(found[1], Result)
+    assert isinstance(found[1], rw.Result)
 
 
 @pytest.mark.parametrize("shapes", [2, 5])
@@ -129,7 +131,7 @@ class FirstElements:
 def test_a_law_that_was_written_for_one_history_has_it_to_itself(case, comm):
     cases = [replace(case, friction=mu, wear_lower=FirstElements()) for mu in (0.1, 0.2, 0.3)]
     for one, found in zip(cases, simulate_all(cases, comm), strict=True):
-        alone = simulate(one, comm).profiles["wear_lower"]
+        alone = rw.simulate(one, comm).profiles["wear_lower"]
         assert not alone[-1, :4].any()
         assert alone[-1, 4:].all()
         assert found.profiles["wear_lower"] == pytest.approx(alone, rel=1e-12)
@@ -142,7 +144,7 @@ def test_a_history_that_ends_without_load_goes_on(case, comm):
     short, long = (
         replace(case, load=load, time=Stepping("adaptive", until=until)) for until in (20.0, 40.0)
     )
-    found, single = simulate_all([short] * (1 + comm.size), comm)[0], simulate(short, comm)
+    found, single = simulate_all([short] * (1 + comm.size), comm)[0], rw.simulate(short, comm)
     assert found.histories["force"][-1] == 0.0
     ends = []
     for start in (restored(found), restored(single)):

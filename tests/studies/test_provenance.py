@@ -4,8 +4,8 @@ import pytest
 from swept import CASE, table, write_study
 
 import ringwear_par
+import ringwear_par as rw
 from ringwear_par import version
-from ringwear_par.errors import InputError
 from ringwear_par.studies.execution import plan, team_store
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.storage.ensemble import open_ensemble
@@ -30,7 +30,7 @@ def test_another_version_does_not_mix_with_the_first(swept, tmp_path, comm, monk
     for module in (ringwear_par, version, plan, team_store):
         monkeypatch.setattr(module, "__version__", "99.0")
     assert swept("0, 20").computed == 0  # nothing to mix
-    with pytest.raises(InputError) as raised:
+    with pytest.raises(rw.InputError) as raised:
         swept("0, 20, 40")
     assert f"2 by {mine}" in str(raised.value)
     assert swept("40").computed == 1  # the others are no longer of the study

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parts import BY_PATH, make_case, parse_case, read_keys
 from swept import write_study
 
-from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.files.reading import make_case, parse_case
-from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.errors import InputError
+import ringwear_par as rw
 from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.definition.identities import case_id
@@ -209,7 +207,7 @@ def test_ranges_of_any_magnitude_are_sentences(tmp_path):
     for key, spacing, pair, design in itertools.product(keys, ("log", "linear"), ends, designs):
         varied = {spacing: pair} | ({"count": 3} if design["method"] == "grid" else {})
         tables = {"case": tomllib.loads(CASE), "vary": {key: varied}, "design": design}
-        with pytest.raises(InputError) as raised:
+        with pytest.raises(rw.InputError) as raised:
             read_study(tables)
         (fault,) = raised.value.faults
         assert (fault.loc, fault.code) == (f"vary.{key}", "not_allowed")
@@ -220,7 +218,7 @@ def test_the_same_fault_of_many_cases_is_told_once(write):
         '[vary]\n"load.pressure" = { values = [50, -1, 60] }\n'
         '"contact.friction" = { values = [0.1, 0.2, -3] }\n"upper.grip" = { values = ["clampt"] }\n'
     )
-    with pytest.raises(InputError) as raised:
+    with pytest.raises(rw.InputError) as raised:
         read_study(write(text))
     grip, friction, pressure = raised.value.faults
     assert "cases 1, 2, 3 and 6 others" in grip
@@ -263,9 +261,9 @@ def test_tables_in_python_are_a_study(write, tmp_path):
         found = read_study({**tables, "case": case})
         assert (found.ids, found.rows, found.groups) == (of_file.ids, of_file.rows, of_file.groups)
         assert found.case(3) == of_file.case(3)
-    with pytest.raises(InputError, match="case"):
+    with pytest.raises(rw.InputError, match="case"):
         read_study({"vary": tables["vary"]})
-    with pytest.raises(InputError, match="case 1"):
+    with pytest.raises(rw.InputError, match="case 1"):
         read_study({"case": base, "vary": {"load.pressure": {"values": [-1]}}})
 
 
@@ -301,9 +299,9 @@ def test_ranks_without_any_case(write, comm):
 def test_faults_found_together_are_those_found_alone(write, comm):
     text = f'[vary]\n"load.pressure" = {{ values = {list(range(-26, 4))} }}\n'
     path = write(text)
-    with pytest.raises(InputError) as alone:
+    with pytest.raises(rw.InputError) as alone:
         read_study(path)
-    with pytest.raises(InputError) as found:
+    with pytest.raises(rw.InputError) as found:
         read_study_together(path, 1, comm)
     assert found.value.faults == alone.value.faults
     assert "case 5" in found.value.faults[4]
@@ -325,7 +323,7 @@ def test_all_teams_have_to_fit_into_the_machine(write, tmp_path, monkeypatch):
     assert planned(2).memory_needed() == pytest.approx(0.8 * machine)
     assert planned(4, 2).memory_needed() == pytest.approx(0.8 * machine)
     monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.125 * machine * ranks)
-    with pytest.raises(InputError, match=r"8 teams.*memory"):
+    with pytest.raises(rw.InputError, match=r"8 teams.*memory"):
         planned(8)
     monkeypatch.setattr(plan, "memory_needed", lambda case, ranks: 0.4 * machine)
     # fewer operators than teams: all ranks assemble each of them
@@ -345,7 +343,7 @@ def test_a_varied_k_start_below_k_is_refused_as_it_is_alone(body):
     vary = {f"{body}.k": {"values": [1e-7, 2e-7]},
             f"{body}.k_start": {"values": [1.5e-7, 4e-7]}}  # fmt: skip
     study = {"case": case, "vary": vary, "design": {"method": "grid"}}
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(rw.InputError) as refused:
         read_study(study)
     (fault,) = refused.value.faults
     assert fault.loc == f"{body}.k_start"

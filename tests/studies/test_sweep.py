@@ -8,14 +8,10 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
+from parts import HISTORIES, PROFILES, parse_case, run_case
 from swept import CASE, STUDY, table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage.result_files import open_result
-from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.execution import estimate, pairs, single_cases, sweep
 from ringwear_par.studies.storage import (
@@ -218,7 +214,7 @@ def test_files_do_not_depend_on_windows(write, tmp_path, comm, monkeypatch):
 
 def test_sizes_that_do_not_divide_are_refused(write, tmp_path, comm):
     m = comm.size + 1
-    with pytest.raises(InputError, match=rf"{m}: {comm.size} ranks do not divide into teams"):
+    with pytest.raises(rw.InputError, match=rf"{m}: {comm.size} ranks do not divide into teams"):
         swept(write(STUDY), tmp_path / "out", comm, ranks_per_case=m)
     assert not (tmp_path / "out").exists()
 
@@ -226,7 +222,7 @@ def test_sizes_that_do_not_divide_are_refused(write, tmp_path, comm):
 def test_a_failed_case_is_a_row_and_the_others_go_on(
     write, tmp_path, comm, monkeypatch, stopped_after
 ):
-    from ringwear_par.wear.laws.threshold import ThresholdLaw
+    from parts import ThresholdLaw
 
     original = ThresholdLaw.line
 
@@ -237,15 +233,15 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(
 
     monkeypatch.setattr(ThresholdLaw, "line", line)
     folder = tmp_path / "out"
-    with pytest.raises(ComputationError, match="1 of 3 cases failed"):
+    with pytest.raises(rw.ComputationError, match="1 of 3 cases failed"):
         swept(write(COEFFICIENTS), folder, comm)
     rows = table(folder)
     assert [row["status"] for row in rows] == ["done", "failed", "done"]
     assert "this law blows up" in rows[1]["error"]
     monkeypatch.setattr(ThresholdLaw, "line", original)
-    with pytest.raises(ComputationError, match="1 of 3 cases failed"):
+    with pytest.raises(rw.ComputationError, match="1 of 3 cases failed"):
         swept(write(COEFFICIENTS), folder, comm)  # failures are results as well
-    stopped = pytest.raises(ComputationError, match="stopped by SIGTERM, incomplete")
+    stopped = pytest.raises(rw.ComputationError, match="stopped by SIGTERM, incomplete")
     with stopped_after(3), stopped:  # of which the failures of before must not make a whole
         swept(write(COEFFICIENTS), folder, comm, retry=True, ranks_per_case=comm.size)
     assert (folder / "STOPPED").exists()
@@ -258,11 +254,11 @@ def test_an_operator_that_fails_fails_its_cases_only(write, tmp_path, comm, monk
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
-            raise ComputationError("the factorisation failed")
+            raise rw.ComputationError("the factorisation failed")
         return original(case, team)
 
     monkeypatch.setattr(pairs, "assemble", assemble)
-    with pytest.raises(ComputationError, match="3 of 6 cases failed"):
+    with pytest.raises(rw.ComputationError, match="3 of 6 cases failed"):
         swept(write(SHAPES), tmp_path / "out", comm)
     failed = [row for row in table(tmp_path / "out") if row["status"] == "failed"]
     assert {row["upper.r"] for row in failed} == {"[28, 32]"}
@@ -304,10 +300,10 @@ method = "grid"
 
 def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, tmp_path, comm, monkeypatch):
     def failing(*_, **__):
-        raise ComputationError("step 1: the contact failed")
+        raise rw.ComputationError("step 1: the contact failed")
 
     monkeypatch.setattr(estimate, "simulate", failing)
-    with pytest.raises(ComputationError, match="step 1: the contact failed"):
+    with pytest.raises(rw.ComputationError, match="step 1: the contact failed"):
         sweep.run_sweep(write(STUDY), tmp_path / "out", comm, dry_run=True)
 
 
@@ -331,12 +327,12 @@ def test_in_python(write, tmp_path, comm):
 
 def test_an_interrupted_case_is_stored_with_its_text(write, tmp_path, comm, stopped_after):
     study, folder = write(COEFFICIENTS), tmp_path / "out"
-    with stopped_after(7), pytest.raises(ComputationError, match="the same command goes on"):
+    with stopped_after(7), pytest.raises(rw.ComputationError, match="the same command goes on"):
         swept(study, folder, comm, ranks_per_case=comm.size)
     (stored,) = (folder / "inflight").glob("*.h5")
     read = read_study(study)
     case = read.case(read.ids.index(stored.stem))
-    text = open_result(stored).case
+    text = rw.open_result(stored).case
     assert text == case.text
     assert parse_case(text, "stored") == case
     swept(study, folder, comm, ranks_per_case=comm.size)

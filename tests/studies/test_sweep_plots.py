@@ -9,7 +9,7 @@ import pytest
 from figure_texts import check_texts
 from known_sweeps import sample, write
 
-from ringwear_par.errors import InputError
+import ringwear_par as rw
 from ringwear_par.studies.analysis.sensitivity import sensitivity_indices
 from ringwear_par.studies.pictures.choice import choose
 from ringwear_par.studies.pictures.figures import draw_sweep, draw_sweep_and_surrogate
@@ -224,7 +224,7 @@ def test_fan_of_histories_with_different_steps(tmp_path):
 def test_wrong_requests(tmp_path):
     write(tmp_path, KEYS[:1], [(1.0,), (2.0,)], [1.0, 1.0], status=["failed", "incomplete"])
     before = sorted(tmp_path.iterdir())
-    with pytest.raises(InputError, match="no case"):
+    with pytest.raises(rw.InputError, match="no case"):
         plot_stored([tmp_path], tmp_path / "a.png")
     assert sorted(tmp_path.iterdir()) == before
 
@@ -271,7 +271,7 @@ def test_round_off_looks_like_no_effect(tmp_path, keys, method):
     ensemble = write(tmp_path, KEYS[:keys], u, u[:, 0], method, lower=noise, upper=seen)
     try:
         found = surrogate(ensemble)
-    except InputError:
+    except rw.InputError:
         found = None
     figure = draw_sweep(ensemble, found)
     check_texts(figure)

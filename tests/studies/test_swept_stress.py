@@ -5,11 +5,10 @@ import signal
 import numpy as np
 import pytest
 from mpi4py import MPI
+from parts import StressRecovery
 from swept import CASE, table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress.recovery import StressRecovery
-from ringwear_par.errors import ComputationError
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.execution.teams import Team
@@ -195,7 +194,7 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(Team, "_observe", interrupting)
-        with pytest.raises(ComputationError, match="stopped by SIGTERM"):
+        with pytest.raises(rw.ComputationError, match="stopped by SIGTERM"):
             sweep(study, tmp_path / "parts", comm)
     with rw.open_ensemble(tmp_path / "parts") as data:
         (going,) = np.flatnonzero(data.status == "incomplete")[:1]

@@ -1,12 +1,11 @@
 """A rank of a team that fails alone takes the others with it, and nobody waits for ever."""
 
 import pytest
+from parts import Law, ThresholdLaw
 from swept import CASE, table, write_study
 
-from ringwear_par.errors import ComputationError
+import ringwear_par as rw
 from ringwear_par.studies.execution.sweep import sweep
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
 STUDY = '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }\n'
@@ -47,7 +46,7 @@ def test_a_law_that_raises_on_one_rank_fails_its_cases(
 
     monkeypatch.setattr(ThresholdLaw, "rate", raising)
     monkeypatch.setattr(ThresholdLaw, "line", Law.line)  # so that its rate is asked for
-    with pytest.raises(ComputationError, match="1 of 3 cases failed"):
+    with pytest.raises(rw.ComputationError, match="1 of 3 cases failed"):
         swept(case)
     rows = table(tmp_path / "out")
     assert [row["status"] for row in rows] == FAILED

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from convergence import check_errors
 from fine_solutions import pressure_at
+from parts import Load, Output, Ring, Stepping, first_contact
 from reference_cases import NU
 from scipy.linalg import eigh, solve
 
-from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.pair import symmetric
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
-from ringwear_par.history.start import first_contact
 
 #: radii of the discs, and E* of E = 1
 DISCS, MODULUS = (50.0, 100.0), exact.contact_modulus((1.0, NU))
@@ -97,7 +97,7 @@ def indented(profile, approach, n, comm):
     reach = float(profile[-1, 0])
     face = tuple((float(r), -float(z)) for r, z in profile)
     cases = [
-        Case(
+        rw.Case(
             Ring((0.0, big_r), (0.0, big_r), 1.0, NU, "clamped"),
             Ring((0.0, reach), (big_r, big_r + 2.0), 1e13, NU, "clamped", face),
             0.1, None, None, Load(0.0, displacement=approach), Stepping("implicit", 1.0, 1),

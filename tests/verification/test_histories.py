@@ -6,15 +6,11 @@ from dataclasses import replace
 import exact_solutions as exact
 import numpy as np
 import pytest
+from parts import Load, Output, Physics, Ring, Stepping, ThresholdLaw, stable_steps, trace
 from reference_cases import NU, OMEGA, paper_case
 
-from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
+import ringwear_par as rw
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.physics import Physics
-from ringwear_par.history.refusals.stable_steps import stable_steps
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: specific wear rates of both bodies, 1/MPa, where both wear
 BOTH = (1e-7, 3e-7)
@@ -49,7 +45,7 @@ def test_twice_the_wear_rate_in_half_the_time(comm):
 def test_worn_solid_pin(comm):
     """Steady p = F / (2 pi R r), torque mu F R / 2, rate mu k omega F / (2 pi R)."""
     radius, force, k, omega = 3.0, 3000.0, 1e-6, 1.0
-    case = Case(
+    case = rw.Case(
         Ring((0.0, 10.0), (0.0, 10.0), 200e3, NU, "clamped"),
         Ring((0.0, radius), (10.0, 20.0), 200e3, NU, "clamped"),
         0.1, None, ThresholdLaw(k), Load(omega, force), Stepping("implicit", 2.5e4, 10), Mesh(64),
@@ -74,7 +70,7 @@ def test_largest_explicit_step(comm):
     case = paper_case(Mesh(n, grading=1.0), p0=(0.0, None), young=1e13)
     case = replace(case, lower=replace(case.lower, r=(290.0, 310.0)),
                    upper=replace(case.upper, r=(298.5, 301.5)))  # fmt: skip
-    physics = Physics.of([case], assemble(case, comm))
+    physics = Physics.of([case], rw.assemble(case, comm))
     with physics.contacts() as contacts:
         (step,) = stable_steps(physics, contacts)
     wear = step * 1e-7 * case.friction * OMEGA * physics.line.arm.max()  # mm per MPa

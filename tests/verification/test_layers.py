@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from convergence import check_errors
 from fine_solutions import pressure_at
+from parts import RingLayer, first_contact
 from reference_cases import NU, paper_case
 from scipy.special import j0, j1, jn_zeros
 
-from ringwear_par.cases.case import RingLayer
 from ringwear_par.elasticity.bem.body import (
     BoundaryProblem,
     body_zones,
@@ -25,7 +25,6 @@ from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.history.start import first_contact
 
 BASE = Material(1.0, NU)
 NONE = np.array([], dtype=int)

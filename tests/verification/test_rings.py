@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 from convergence import check_errors
 from fine_solutions import RINGS, pressure_at, ring_means, stored, worn_exactly
+from parts import Stepping, bodies, first_contact, trace, young
 from reference_cases import CONTACT, FORCE, NU, SORTS, SPEED, Rings, paper_case, ring_case
 
-from ringwear_par.cases.case import Stepping
+import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.history.elastic.bodies import bodies, young
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.start import first_contact
 
 #: beyond this distance from an edge, mm, the shape of the pressure at the edge is resolved
 INSIDE = 0.02
@@ -50,7 +47,7 @@ def test_unworn_paper(comm):
 
 def test_exponents_at_edges(comm):
     """From 0.003 to 0.03 mm of the paper's rings, strongly graded, for several E2/E1."""
-    pair = assemble(paper_case(Mesh(128, grading=4.0)), comm)
+    pair = rw.assemble(paper_case(Mesh(128, grading=4.0)), comm)
     s = (pair.line.r - pair.line.edges[0]) / 3.0
     near = (s > 1e-3) & (s < 1e-2)
     for ratio, exponent in exact.EDGE_EXPONENT.items():
@@ -162,7 +159,7 @@ def test_cones_bathed_in_their_pressure(comm):
         case = ring_case(rings, Mesh(n))
         case = replace(case, lower=replace(case.lower, grip="platen"),
                        upper=replace(case.upper, grip="platen"))  # fmt: skip
-        pair, both, moduli = assemble(case, comm), bodies(case), young(case)
+        pair, both, moduli = rw.assemble(case, comm), bodies(case), young(case)
         slopes = pair.slope, -pair.slope
         deflection = sum(
             bathed(body, case, slope, comm) / e
@@ -209,7 +206,7 @@ def test_coarser_meshes_make_the_fine_solutions_again(name, most, comm):
     nested = {}
     for n in (64, 128):
         case = ring_case(SORTS[name], Mesh(n, grading=3.0))
-        *_, worn = worn_exactly(case, assemble(case, comm).compliance(young(case)))
+        *_, worn = worn_exactly(case, rw.assemble(case, comm).compliance(young(case)))
         radii = contact_line(CONTACT, Mesh(16)).edges
         nested[n] = max(
             np.abs(ring_means(case.mesh, w, radii) - stored(name, Mesh(16)).wear[t]).max()
@@ -222,7 +219,7 @@ def test_coarser_meshes_make_the_fine_solutions_again(name, most, comm):
 def test_exact_in_time_is_what_short_steps_come_to(comm):
     """On one mesh and its compliance, so that only time differs."""
     case = ring_case(SORTS["paper"], Mesh(32))
-    pair = assemble(case, comm)
+    pair = rw.assemble(case, comm)
     *_, worn = worn_exactly(case, pair.compliance(young(case)))
     adaptive = replace(case, time=replace(case.time, tolerance=1e-8))
     last = trace(adaptive, comm, pair=pair).last

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from parts import Stacked, Table
 
+import ringwear_par as rw
 from ringwear_par import schedules
-from ringwear_par.errors import ComputationError
-from ringwear_par.schedules import Stacked, Table
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.increment import WearIncrement
@@ -177,7 +177,7 @@ def test_a_history_that_does_not_settle_is_named():
     growing = "def rate(p, at): return at.parameters['k'] * p * (1 + at.wear / 1e-3)\n"
     laws = [UserLaw("a.py", growing, (("k", k),)) for k in (1e-9, 1e-9, 1e-3, 1e-9, 1e-9)]
     together, _, p = increments(laws)
-    with pytest.raises(ComputationError, match=r"history 2, .* does not settle"):
+    with pytest.raises(rw.ComputationError, match=r"history 2, .* does not settle"):
         together.depth(p)
 
 

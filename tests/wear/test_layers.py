@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from parts import Table
 
-from ringwear_par.schedules import Table
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.power import PowerLaw

@@ -6,13 +6,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from parts import read_text, run_case
 from paths import PAPER
 
+import ringwear_par as rw
 from ringwear_par import simulate
-from ringwear_par.cases.files.reading import read_case
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.text import read_text
-from ringwear_par.results.execution.run import run_case
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 
@@ -50,7 +48,7 @@ def law(tmp_path, comm):
     ],
 )  # fmt: skip
 def test_bad_laws_are_refused_before_work(law, tmp_path, comm, source, words):
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(rw.InputError, match=words):
         run_case(PAPER, tmp_path / "run.h5", law(source), comm=comm)
     assert not (tmp_path / "run.h5").exists()
 
@@ -87,8 +85,8 @@ BAD_OBJECTS = {
 
 @pytest.mark.parametrize(("words", "bad"), BAD_OBJECTS.items(), ids=BAD_OBJECTS)
 def test_bad_objects_are_refused_as_bad_files_are(law, comm, bad, words):
-    case = replace(read_case(PAPER, law(GOOD)), wear_upper=bad)
-    with pytest.raises(InputError, match=rf"wear\.upper: _Mine.*{words}"):
+    case = replace(rw.read_case(PAPER, law(GOOD)), wear_upper=bad)
+    with pytest.raises(rw.InputError, match=rf"wear\.upper: _Mine.*{words}"):
         simulate(case, comm)
 
 
@@ -112,8 +110,8 @@ NO_LAWS = {
 
 @pytest.mark.parametrize(("words", "bad"), NO_LAWS.items(), ids=NO_LAWS)
 def test_what_is_no_law_is_refused(law, comm, bad, words):
-    case = replace(read_case(PAPER, law(GOOD)), wear_lower=bad)
-    with pytest.raises(InputError, match=rf"wear\.lower.*{words}"):
+    case = replace(rw.read_case(PAPER, law(GOOD)), wear_lower=bad)
+    with pytest.raises(rw.InputError, match=rf"wear\.lower.*{words}"):
         simulate(case, comm)
 
 
@@ -121,7 +119,7 @@ def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, tmp_pat
     late = "import numpy as np\n" + GOOD.replace(
         "1e-8 * at.speed * p", "np.where(at.time > 5, -1.0, 1e-8 * at.speed * p)"
     )
-    with pytest.raises(ComputationError, match=r"-1.*time [\d.]+ s, element \d+"):
+    with pytest.raises(rw.ComputationError, match=r"-1.*time [\d.]+ s, element \d+"):
         run_case(PAPER, tmp_path / "run.h5", law(late), comm=comm)
 
 
@@ -129,7 +127,7 @@ def test_restart_wants_the_same_law(law, tmp_path, comm):
     output, keys = tmp_path / "run.h5", law(GOOD)
     run_case(PAPER, output, keys, comm=comm)
     law(TRIPLE)
-    with pytest.raises(InputError, match="another wear law"):
+    with pytest.raises(rw.InputError, match="another wear law"):
         run_case(PAPER, output, [*keys, "time.end=40"], comm=comm, restart=True)
     law(GOOD)
     run_case(PAPER, output, [*keys, "time.end=40"], comm=comm, restart=True)
@@ -144,9 +142,9 @@ def d_rate_dwear(p, at): return 1e-8 * at.speed * p / 1e-3
 """
     fixed = [k for k in law(growing) if not k.startswith("time")]
     fixed += ["time.scheme=implicit", "time.step=50", "time.steps=2"]
-    with pytest.raises(ComputationError, match="too fast"):
+    with pytest.raises(rw.ComputationError, match="too fast"):
         run_case(PAPER, tmp_path / "a.h5", fixed, comm=comm)
-    with pytest.raises(ComputationError, match="half of its height"):
+    with pytest.raises(rw.ComputationError, match="half of its height"):
         run_case(PAPER, tmp_path / "a.h5", [*law(growing), "time.end=2000"], comm=comm)
 
 
@@ -171,7 +169,7 @@ def rate(p, at): return 1e-11 * np.interp(p, P, P**2)
 def d_rate_dp(p, at): return 1e-11 * np.diff(P**2)[np.searchsorted(P[1:], p)] / P[1]
 """
     run_case(PAPER, tmp_path / "a.h5", law(kinked), comm=comm)
-    with pytest.raises(InputError, match=r"d_rate_dp\(\) is not the derivative"):
+    with pytest.raises(rw.InputError, match=r"d_rate_dp\(\) is not the derivative"):
         run_case(PAPER, tmp_path / "a.h5", law(kinked.replace("/ P[1]", "/ 0.33")), comm=comm)
 
 
@@ -191,7 +189,7 @@ def test_a_law_that_overrides_the_rate_of_another_wears_at_its_own(comm):
         def potential(self, p, local):
             return 3.0 * super().potential(p, local)
 
-    case = read_case(PAPER, {"mesh.contact_elements": 12, "time.steps": 6})
+    case = rw.read_case(PAPER, {"mesh.contact_elements": 12, "time.steps": 6})
     known, derived = (
         simulate(replace(case, wear_lower=law), comm=comm).histories["worn_volume_lower"]
         for law in (RunningInLaw(3e-7, 9e-7, depth=1e-4), ThreeTimes(1e-7, 3e-7, depth=1e-4))
@@ -219,15 +217,15 @@ def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
         return read_text(path)
 
     monkeypatch.setattr("ringwear_par.wear.laws.user.read_text", counted)
-    assert read_case(PAPER, keys).wear_lower.source == GOOD
+    assert rw.read_case(PAPER, keys).wear_lower.source == GOOD
     assert read.count(path) == 1
 
 
 def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, tmp_path):
     keys = [*law(GOOD), "contact.friction=-1"]
     (tmp_path / "law.py").write_bytes(b"\xff\xfe")
-    with pytest.raises(InputError) as told:
-        read_case(PAPER, keys)
+    with pytest.raises(rw.InputError) as told:
+        rw.read_case(PAPER, keys)
     friction, file = told.value.faults
     assert "contact.friction = -1" in friction
     path = tmp_path / "law.py"
@@ -235,6 +233,6 @@ def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, tmp_path):
     assert file == f"{PAPER}: {said}"
     missing = [*law(GOOD)[:-1], "wear.lower.file=nowhere.py"]
     with pytest.raises(
-        InputError, match=r"wear.lower.file = .*nowhere.py: cannot be read: No such"
+        rw.InputError, match=r"wear.lower.file = .*nowhere.py: cannot be read: No such"
     ):
-        read_case(PAPER, missing)
+        rw.read_case(PAPER, missing)

@@ -4,12 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from parts import Table, derivative
 from taylor import taylor_order
 from wearing import sliding, step_wear
 
-from ringwear_par.arrays import derivative
-from ringwear_par.errors import ComputationError
-from ringwear_par.schedules import Table
+import ringwear_par as rw
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.laws import non_local as averages
@@ -294,14 +293,16 @@ def test_non_local_becomes_local():
 
 def test_a_falling_slope_is_told_during_work():
     source = "def rate(p, at): return 1e-7 * p\ndef d_rate_dp(p, at): return -1e-7 + 0 * p\n"
-    with pytest.raises(ComputationError, match=r"d_rate_dp\(\) gives -1e-07.*must not fall"):
+    with pytest.raises(rw.ComputationError, match=r"d_rate_dp\(\) gives -1e-07.*must not fall"):
         UserLaw("mine.py", source).d_rate_dp(P, sliding(POWER))
 
 
 def test_averages_that_do_not_settle_are_refused(monkeypatch):
     monkeypatch.setattr(averages, "_SCALINGS", 1)
     r = np.linspace(28.5, 31.5, 12)
-    with pytest.raises(ComputationError, match=r"averages over 0.5 mm keep constants to .* only"):
+    with pytest.raises(
+        rw.ComputationError, match=r"averages over 0.5 mm keep constants to .* only"
+    ):
         averaging(r, r, 0.5)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from laboratory import PEN, PROF, changed, write_table
 
-from ringwear_par.errors import InputError
+import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.record_checks import refuse_reversed
@@ -31,10 +31,10 @@ def test_times_that_end_long_before_the_test(good, tmp_path):
 def test_the_same_readings_twice(good):
     tables = copy.deepcopy(good)
     data = tables["experiment"][0]["data"]
-    with pytest.raises(InputError, match="readings of"):
+    with pytest.raises(rw.InputError, match="readings of"):
         read_fit(changed(good, ("experiment", 1, "data", 0, "file"), data[0]["file"]))
     data.append({**data[0], "sd": 0.3, "exclude": [[0, 50]]})
-    with pytest.raises(InputError, match="twice"):
+    with pytest.raises(rw.InputError, match="twice"):
         read_fit(tables)
     data[0]["exclude"] = [[50, 100]]
     assert len(read_fit(tables).experiments[0].series) == 3  # parts of one record
@@ -88,7 +88,7 @@ def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):
     assert sentence in [doubt["text"] for doubt in found.to_dict()["doubts"]]
     assert f"warning: {sentence}" in found.summary()
     assert f"warning: {sentence}" in prediction(expected_result(read_fit(tables), comm))
-    with pytest.raises(InputError, match="in min"):
+    with pytest.raises(rw.InputError, match="in min"):
         assumptions("t / min", "z / mm", time="s")
 
 
@@ -98,7 +98,7 @@ def test_wrong_signs(entry, good, tmp_path, comm):
     names = tuple(data["columns"].values())
     x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
     write_table(tmp_path / "a.csv", names, x, -y)
-    with pytest.raises(InputError, match="wrong sign"):
+    with pytest.raises(rw.InputError, match="wrong sign"):
         fit(changed(good, (*entry, "file"), str(tmp_path / "a.csv")), comm)
 
 
@@ -108,7 +108,7 @@ def test_a_key_to_which_nothing_responds(good, comm):
     tables["experiment"] = tables["experiment"][:1]
     tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
     del tables["fit"]["parameters"]["wear.lower.p0"]
-    with pytest.raises(InputError, match=r"respond to wear.lower.k"):
+    with pytest.raises(rw.InputError, match=r"respond to wear.lower.k"):
         fit(tables, comm)
     tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
     start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
@@ -153,7 +153,7 @@ def test_a_part_that_opposes_the_model_is_told(good, tmp_path, comm):
 def test_readings_that_are_left_out_are_not_counted(good):
     tables = copy.deepcopy(good)
     tables["experiment"][0]["data"][0] |= {"sd": "fit", "exclude": [[0.0, 85.0]]}
-    with pytest.raises(InputError, match="9 readings"):
+    with pytest.raises(rw.InputError, match="9 readings"):
         read_fit(tables)
     tables["experiment"][0]["data"][0]["exclude"] = [[0.0, 81.0]]
     assert read_fit(tables).experiments[0].series[0].n == 10

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from laboratory import fit_tables, refused
 from mpi4py import MPI
+from parts import read_measurements
 
 import ringwear_par as rw
-from ringwear_par.files.measurements import read_measurements
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result
 

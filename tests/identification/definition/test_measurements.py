@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
+from parts import RejectedError, factor, named_unit, number_in, read_measurements, unit_of_column
 
-from ringwear_par.cases.units import factor, named_unit, number_in, unit_of_column
-from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError
-from ringwear_par.files.measurements import read_measurements
+import ringwear_par as rw
 
 
 def numbers(path, *names):
@@ -53,7 +51,7 @@ def test_two_parts_tell_a_time_in_hours_or_minutes_only(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t;z\n1:30;1\n")
     table = read_measurements(path)
-    with pytest.raises(InputError, match=r"line 2: t = 1:30: .*h:min or min:s"):
+    with pytest.raises(rw.InputError, match=r"line 2: t = 1:30: .*h:min or min:s"):
         table.numbers("t", table.filled("t"), 3600.0)
 
 
@@ -92,10 +90,10 @@ def test_quotients_in_units_of_something_else(name):
 def test_files_of_any_size_are_looked_at_once(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(",".join(["t", *(f"c{i}" for i in range(100_000))]) + "\n1,2\n")
-    with pytest.raises(InputError, match="1000"):
+    with pytest.raises(rw.InputError, match="1000"):
         read_measurements(path)
     path.write_text(f"t;z\n1;{'1' * 100_000}x\n")
-    with pytest.raises(InputError, match="number"):
+    with pytest.raises(rw.InputError, match="number"):
         numbers(path, "t", "z")
     with pytest.raises(RejectedError):
         number_in("1" * 100_000 + " x", "mm")

@@ -8,7 +8,7 @@ import pytest
 from laboratory import changed, refused
 from mpi4py import MPI
 
-from ringwear_par.errors import InputError
+import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result
 from ringwear_par.identification.fit_numbers import specific_wear_rate
@@ -131,7 +131,7 @@ def test_fewer_readings_than_parameters(plan):
     tables["experiment"] = tables["experiment"][:1]
     del tables["experiment"][0]["data"][1], tables["experiment"][0]["data"][0]["nuisance"]
     tables["experiment"][0]["data"][0]["times"] = [50.0]
-    with pytest.raises(InputError, match=r"1 readings.* 2 "):
+    with pytest.raises(rw.InputError, match=r"1 readings.* 2 "):
         read_fit(tables, plans=True)
 
 

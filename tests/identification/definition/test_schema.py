@@ -4,8 +4,8 @@ import copy
 import re
 from pathlib import Path
 
-from ringwear_par.cases.tables import key_table
-from ringwear_par.cli import main
+from parts import key_table, main
+
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.schema import KEYS
 

@@ -15,11 +15,10 @@ from laboratory import (
     write_table,
 )
 from mpi4py import MPI
+from parts import parse_toml
 from scipy.stats import norm
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.noise import censored_rows
@@ -135,7 +134,7 @@ def test_limits_on_both_sides(tables):
     (*_, doubt) = [d for d in rw.fit(both, MPI.COMM_SELF).doubts if d.code == "outliers"]
     assert "the model is on the wrong side of 1 limit, by up to" in doubt.text
     both["fit"]["parameters"][K]["scatter"] = 0.1
-    with pytest.raises(InputError, match="all readings are limits, which tell nothing of keys"):
+    with pytest.raises(rw.InputError, match="all readings are limits, which tell nothing of keys"):
         read_fit(both)
 
 

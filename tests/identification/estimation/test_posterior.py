@@ -11,7 +11,7 @@ from laboratory import FITTED, fit_tables
 from linear_histories import LinearHistories
 from scipy.stats import truncnorm
 
-from ringwear_par.errors import ComputationError
+import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Prior
 from ringwear_par.identification.estimation import posterior
@@ -134,7 +134,7 @@ def stop_after(monkeypatch):
             store(path, key, backend, histories)
             lengths.append(backend.iteration)
             if len(lengths) == after:
-                raise ComputationError("the power failed")
+                raise rw.ComputationError("the power failed")
 
         monkeypatch.setattr(posterior, "STORE_SECONDS", 0.0)
         monkeypatch.setattr(posterior, "_store_chain", store_and_fail)
@@ -150,7 +150,7 @@ def test_a_stopped_chain_continues_with_the_same_samples(linear, tmp_path, comm,
     for after in (1, 9, steps - 1, steps):
         path = tmp_path / f"{after}.npz"
         stop_after(after)
-        with pytest.raises(ComputationError, match="the power failed"):
+        with pytest.raises(rw.ComputationError, match="the power failed"):
             linear(comm, samples=64, path=path)
         lengths = stop_after(None)
         *_, again = linear(comm, samples=64, path=path)
@@ -162,7 +162,7 @@ def test_a_stopped_chain_continues_with_the_same_samples(linear, tmp_path, comm,
 def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, stop_after):
     tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
     stop_after(2)
-    with pytest.raises(ComputationError, match="the power failed"):
+    with pytest.raises(rw.ComputationError, match="the power failed"):
         fit_problem(read_fit(tables), comm, folder=tmp_path)
     assert (tmp_path / "progress/posterior.npz").is_file()
     lengths = stop_after(None)

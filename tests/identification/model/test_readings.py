@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from laboratory import fit_tables, write_tests
 from mpi4py import MPI
+from parts import parse_toml
 
 import ringwear_par as rw
-from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance, Series
 from ringwear_par.identification.model.histories import Histories, step_times

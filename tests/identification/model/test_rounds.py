@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from laboratory import FITTED, TRUTH
+from parts import LawError, RingwearError, StopSignals
 
-from ringwear_par.errors import ComputationError, LawError, RingwearError
+import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import profile as profile_room
 from ringwear_par.identification.estimation import solution as solution_room
@@ -21,7 +22,6 @@ from ringwear_par.identification.model import histories as histories_room
 from ringwear_par.identification.model import rounds as rounds_room
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.rounds import Rounds, StoppedError, side_by_side
-from ringwear_par.results.execution.stop_signals import StopSignals
 
 
 def test_an_error_on_one_rank_ends_all(tables, comm, monkeypatch, capfd):
@@ -145,7 +145,7 @@ def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "raised"), [(HistoryError, False), (ComputationError, True), (LawError, True)]
+    ("error", "raised"), [(HistoryError, False), (rw.ComputationError, True), (LawError, True)]
 )
 def test_a_profile_takes_only_missing_histories_for_too_far(
     error, raised, tables, comm, monkeypatch
@@ -179,5 +179,5 @@ def test_starts_are_where_all_parameters_are_felt(tables, comm):
 def test_threads_need_an_mpi_that_allows_them(monkeypatch):
     funneled = SimpleNamespace(Query_thread=lambda: 1, THREAD_SERIALIZED=2)
     monkeypatch.setattr(rounds_room, "MPI", funneled)
-    with pytest.raises(ComputationError, match="MPI_THREAD_SERIALIZED or more is needed"):
+    with pytest.raises(rw.ComputationError, match="MPI_THREAD_SERIALIZED or more is needed"):
         rounds_room.side_by_side([lambda wait_for: None], lambda points: None)

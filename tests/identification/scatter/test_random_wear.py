@@ -19,7 +19,6 @@ from laboratory import (
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import ProcessNoise
 from ringwear_par.identification.estimation.misfit import Misfit
@@ -187,15 +186,15 @@ def test_answers_to_a_factor_on_all_rates(tables, law):
 def test_readings_that_cannot_tell_it_are_refused(tables):
     slow = of_k(tables)
     slow["experiment"][0]["data"][0]["correlation_time"] = 20.0
-    with pytest.raises(InputError, match="noise"):
+    with pytest.raises(rw.InputError, match="noise"):
         read_fit(slow)
     limit = of_k(tables, tests=1)
     limit["experiment"][0]["data"][1]["censored"] = "below"
-    with pytest.raises(InputError, match="censored"):
+    with pytest.raises(rw.InputError, match="censored"):
         read_fit(limit)
     torque = of_k(tables, tests=1)
     torque["experiment"][0]["data"] = [
         {"quantity": "torque", "value": 1.0, "unit": "N m", "sd": 0.1, "at": at} for at in (1, 2)
     ]
-    with pytest.raises(InputError, match="no reading"):
+    with pytest.raises(rw.InputError, match="no reading"):
         read_fit(torque)

@@ -18,14 +18,13 @@ from laboratory import (
     write_table,
 )
 from mpi4py import MPI
+from parts import draw_values
 from scipy.stats import norm
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fitted_values import fitted_values
 from ringwear_par.identification.scatter import likelihood
-from ringwear_par.prediction.draws import draw_values
 
 pytestmark = pytest.mark.slow
 
@@ -147,7 +146,7 @@ def test_tests_that_disagree_are_told(tables):
     (doubt,) = (d for d in fit.doubts if d.code == "tests-disagree" and d.keys == (K,))
     assert doubt.values["p"] < 1e-6
     assert 0.5 * SCATTER < doubt.values["scatter"] < 2.0 * SCATTER
-    with pytest.raises(InputError, match="scatter"):
+    with pytest.raises(rw.InputError, match="scatter"):
         fit.plot_specimens()
 
 
@@ -239,17 +238,17 @@ def test_groups_that_are_refused(tables):
     same = with_scatter(tables, {"specimen": "fit", "batch": "fit"})
     for experiment in same["experiment"]:
         experiment["batch"] = experiment["name"]
-    with pytest.raises(InputError, match="same groups"):
+    with pytest.raises(rw.InputError, match="same groups"):
         read_fit(same)
     moved = with_scatter(tables)
     for experiment, batch in zip(moved["experiment"][:2], ("a", "b"), strict=True):
         experiment |= {"specimen": "S1", "batch": batch}
-    with pytest.raises(InputError, match="one batch"):
+    with pytest.raises(rw.InputError, match="one batch"):
         read_fit(moved)
     one = with_scatter(tables)
     for experiment in one["experiment"]:
         experiment["specimen"] = "S1"
-    with pytest.raises(InputError, match="one specimen"):
+    with pytest.raises(rw.InputError, match="one specimen"):
         read_fit(one)
 
 

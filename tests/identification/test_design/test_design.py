@@ -249,7 +249,7 @@ def test_spaces_that_are_refused(tables, change, said, comm):
 
 def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, capsys, monkeypatch):
     folder, _ = laboratory
-    from ringwear_par.files.text import toml_value
+    from parts import toml_value
 
     source = folder / "fit.toml"
     lines = [f"{key} = {toml_value(value)}" for key, value in tables().items()]

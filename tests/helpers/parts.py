@@ -1,0 +1,86 @@
+"""Parts of the package that tests of other rooms use: where they are is written here only.
+
+Tests of a room import that room, ``ringwear_par`` and helpers: what moves is changed here once.
+"""
+
+from importlib import import_module
+
+#: names by the module that they are in
+PLACES = {
+    "arrays": "derivative share",
+    "batched": "one",
+    "cases.case": "Load Output Ring RingLayer Stepping",
+    "cases.files.keys": "read_keys",
+    "cases.files.law_trials": "refuse_bad_laws",
+    "cases.files.reading": "make_case parse_case",
+    "cases.files.weighings": "read_weighings",
+    "cases.schema": "BY_PATH",
+    "cases.tables": "key_table",
+    "cases.units": "factor named_unit number_in unit_of_column",
+    "cases.values": "RejectedError",
+    "cli": "main",
+    "contact.engine": "ContactEngine",
+    "elasticity.bem.body": "compliance",
+    "elasticity.bem.boundary": "node_wear",
+    "elasticity.mesh": "ContactLine Mesh case_slopes common_slope",
+    "elasticity.sections": "Material",
+    "elasticity.stress.fields": "COMPONENTS SIDES max_shear mises principal",
+    "elasticity.stress.recovery": "StressRecovery",
+    "errors": "HistoriesError LawError RingwearError legible",
+    "explorer.figures": "Drawing",
+    "files.measurements": "read_measurements",
+    "files.smoothing": "curve penalised",
+    "files.text": "parse_toml read_text toml_text toml_value",
+    "history.elastic.bodies": "bodies operator_key young",
+    "history.elastic.compliances": "Compliances",
+    "history.elastic.pairs": "boundary_recovery updated_geometry",
+    "history.loop": "simulate_one",
+    "history.observers.trace": "Trace trace",
+    "history.physics": "Physics",
+    "history.refusals.stable_steps": "stable_steps",
+    "history.start": "first_contact",
+    "identification.definition.fit_file": "read_fit",
+    "identification.definition.problem": "ProcessNoise Series",
+    "identification.fitted_values": "FittedValues law_names",
+    "identification.model.rounds": "Rounds",
+    "identification.summary": "probabilities",
+    "measuring.definition.measure_file": "read_measure",
+    "pictures.figures": "FigureFile plot",
+    "pictures.run_panels": "HISTORY_PANELS",
+    "pictures.style": "save_figure",
+    "prediction.draws": "draw_values log_densities",
+    "prediction.known": "fit_knowledge",
+    "reports.run_page": "profiles worn_table",
+    "reports.spreadsheets": "export",
+    "results.execution.recorder": "Recorder",
+    "results.execution.run": "run_case",
+    "results.execution.stop_signals": "StopSignals",
+    "results.key_numbers": "key_numbers",
+    "results.result": "HistoryColumns",
+    "results.storage.result_files": "restored",
+    "results.variables": "D_HISTORIES D_PROFILES HISTORIES PROFILES",
+    "results.warnings": "validity_warnings",
+    "schedules": "Stacked Table bends in_time integral",
+    "studies.execution.batches": "computed",
+    "studies.execution.many": "results_of",
+    "studies.pictures.plot": "plot_stored",
+    "wear.increment": "Closing WearIncrement",
+    "wear.law": "Law parameters_of stack_laws",
+    "wear.laws": "LAWS",
+    "wear.laws.archard": "ArchardLaw",
+    "wear.laws.non_local": "NonLocalLaw averaging",
+    "wear.laws.power": "PowerLaw",
+    "wear.laws.running_in": "RunningInLaw",
+    "wear.laws.table": "TableLaw",
+    "wear.laws.threshold": "ThresholdLaw",
+    "wear.laws.user": "UserLaw",
+    "wear.layered": "LayeredLaw NoWear",
+}
+_MODULES = {name: module for module, names in PLACES.items() for name in names.split()}
+
+
+def __getattr__(name):
+    """Return a part when it is imported from here."""
+    if name not in _MODULES:
+        raise AttributeError(name)
+    return getattr(import_module(f"ringwear_par.{_MODULES[name]}"), name)
