@@ -68,8 +68,7 @@ def computed(tmp_path, comm, monkeypatch):
         ("paper.toml", SMALL),
         ("paper.toml", [*SMALL, "output.every=8", "output.fields=['gap']"]),
         ("paper.toml", [*SMALL, "output.profiles=last"]),
-        "fields.toml",
-        FIELDS,
+        ("fields.toml", FIELDS),
     ],
 )
 def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
