@@ -12,7 +12,7 @@ pytestmark = pytest.mark.serial
 
 BROKEN = {
     "petsc4py": ("ImportError('no libmpi.so.12')", ("libmpi.so.12", "conda-forge", "Debian")),
-    "mpi4py": ("RuntimeError('cannot load\\nMPI library')", ("cannot load MPI library",)),
+    "mpi4py": ("RuntimeError('cannot load\\nMPI library')", ("mpi4py", "MPI library")),
 }
 
 
