@@ -10,13 +10,13 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from io import TextIOWrapper
 from typing import Any
 
 from ringwear_par.commands import loaded, parsed
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import RingwearError
 from ringwear_par.parallel import as_ours, on_first_rank, together
 from ringwear_par.results.execution.stop_signals import StopSignals
 
@@ -24,43 +24,14 @@ from ringwear_par.results.execution.stop_signals import StopSignals
 _LONE_SECONDS = 1.0
 #: settings of Open MPI for a process without others
 _ISOLATED = {
-    "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_pml": "ob1",
-    "OMPI_MCA_btl": "self",
-    "OMPI_MCA_mtl": "^ofi",
-    "OMPI_MCA_io": "^romio321",
-}
+    "OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self",
+    "OMPI_MCA_mtl": "^ofi", "OMPI_MCA_io": "^romio321",
+}  # fmt: skip
 #: variables that launchers set: mpirun of Open MPI and MPICH, and srun
 _LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
 #: new objects after which Python looks for those that only hold each other: a sweep makes thousands
 #: of cases, and none of them does
 _NEW_OBJECTS = 50_000
-
-
-@contextmanager
-def _without_other_processes() -> Iterator[None]:
-    """Have Open MPI start without looking for other processes, where no launcher started this one.
-
-    That takes a quarter of a second less. What is set here is gone before anything else is started.
-    """
-    launched = any(name in os.environ for name in _LAUNCHED)
-    mine = {} if launched else {n: v for n, v in _ISOLATED.items() if n not in os.environ}
-    os.environ.update(mine)
-    try:
-        yield
-    finally:
-        for name in mine:
-            del os.environ[name]
-
-
-def _check_launch(size: int) -> None:
-    for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
-        launched = os.environ.get(name)
-        if launched is not None and launched.isdecimal() and int(launched) != size:
-            raise InputError(
-                f"{name} = {launched} but MPI has {size} rank(s): mpirun and mpi4py belong to "
-                "different MPI libraries (see ringwear info)"
-            )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -91,12 +62,28 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _world() -> Any:
-    """Return the world's communicator."""
+    """Return the world's communicator.
+
+    Open MPI starts a quarter of a second sooner where it is told that no launcher started others.
+    What is set for that is gone before anything else is started.
+    """
+    launched = any(name in os.environ for name in _LAUNCHED)
+    mine = {} if launched else {n: v for n, v in _ISOLATED.items() if n not in os.environ}
+    os.environ.update(mine)
     try:
-        with _without_other_processes():
-            from mpi4py import MPI
+        from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
         raise RingwearError(f"MPI for Python (mpi4py) does not load: {error}") from error
+    finally:
+        for name in mine:
+            del os.environ[name]
+    size = MPI.COMM_WORLD.size
+    told = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", f"{size}"))
+    if told != f"{size}":
+        raise RingwearError(
+            f"the launcher has {told} ranks but MPI {size}: mpirun and mpi4py belong to different "
+            "MPI libraries (see ringwear info)"
+        )
     return MPI.COMM_WORLD
 
 
@@ -106,7 +93,6 @@ def _run(words: list[str], comm: Any) -> None:
     cut = words.index("--") if "--" in words else len(words)
     with together(comm):
         arguments = parsed(words[:cut])
-        _check_launch(comm.size)
     function, kind = arguments.pop("load")
     if arguments.pop("no_cache", False) or arguments.pop("command") == "verify":
         from ringwear_par.elasticity import pair_cache
@@ -120,17 +106,15 @@ def _run(words: list[str], comm: Any) -> None:
         print(text)
 
 
-def _is_alike(error: BaseException | None, ranks: int) -> bool:
-    """Tell whether all ranks raise an error, or that which it comes from."""
-    while error is not None and getattr(error, "ranks", 0) != ranks:
-        error = error.__cause__
-    return error is not None
-
-
 def _end(comm: Any, message: str, status: int, error: BaseException | None = None) -> int:
-    """Say why the command ends, and return its status; end the ranks that may be waiting."""
+    """Say why the command ends, and return its status; end the ranks that may be waiting.
+
+    None are where all ranks raise the error, or that which it comes from.
+    """
     first = comm is None or comm.rank == 0
-    alike = comm is None or comm.size == 1 or _is_alike(error, comm.size)
+    alike = comm is None or comm.size == 1
+    while error is not None and not alike:
+        alike, error = getattr(error, "ranks", 0) == comm.size, error.__cause__
     if not (first or alike):
         time.sleep(_LONE_SECONDS)
     if first or not alike:

@@ -18,14 +18,12 @@ from ringwear_par.version import __version__
 def _whole(low: int, high: int) -> Callable[[str], int]:
     """Return the type of whole numbers from low to high."""
 
-    def whole(text: str) -> int:
-        if not (text.isascii() and text.isdecimal() and low <= int(text[:9]) <= high):
-            raise argparse.ArgumentTypeError(
-                f"{legible(text)}: must be a whole number, {low} to {high}"
-            )
+    def number(text: str) -> int:
+        if not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"{text}: must be from {low} to {high}")
         return int(text)
 
-    return whole
+    return number
 
 
 def _slice(text: str) -> tuple[int, int]:

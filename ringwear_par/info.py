@@ -77,6 +77,9 @@ def _print_keys(words: Sequence[str]) -> None:
         raise InputError(
             f"--schema {legible(phrase)}: is in no row of the keys of {' or '.join(kinds)} files"
         )
+    if len(kinds) == 1:
+        print(tables[kinds[0]])
+        return
     for kind, table in tables.items():
         if table:
             print(f"Keys of {kind} files\n\n{table}\n")

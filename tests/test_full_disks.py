@@ -14,7 +14,7 @@ from swept import variables, write_study
 import ringwear_par as rw
 from ringwear_par.results.execution import run as run_command
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 SMALL = ["--set", "mesh.contact_elements=16", "time.steps=20"]
 
 
@@ -44,7 +44,7 @@ def test_run(tmp_path, size):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_run_goes_on_without_checkpoints(shared_path, comm, monkeypatch, caplog):
+def test_a_run_goes_on_without_checkpoints(tmp_path, comm, monkeypatch, caplog):
     write, calls = run_command.write_result, []
 
     def failing(*words):
@@ -56,9 +56,9 @@ def test_a_run_goes_on_without_checkpoints(shared_path, comm, monkeypatch, caplo
     caplog.set_level("INFO")
     monkeypatch.setattr(run_command, "write_result", failing)
     monkeypatch.setattr(run_command, "CHECKPOINT_SECONDS", 0.0)
-    run_command.run_case(PAPER, shared_path / "run.h5", SMALL[1:], comm=comm)
+    run_command.run_case(PAPER, tmp_path / "run.h5", SMALL[1:], comm=comm)
     assert len([m for m in caplog.messages if "checkpoint not written" in m]) == 1
-    assert rw.open_result(shared_path / "run.h5").steps_made[-1] == 20
+    assert rw.open_result(tmp_path / "run.h5").steps_made[-1] == 20
 
 
 def test_sweep(tmp_path, comm):

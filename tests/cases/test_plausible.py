@@ -7,8 +7,6 @@ from paths import CASES, PAPER
 import ringwear_par as rw
 from ringwear_par.cases.plausible import implausible_numbers
 
-pytestmark = pytest.mark.serial
-
 LAYERED = CASES / "wear_through.toml"
 
 

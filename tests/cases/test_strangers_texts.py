@@ -9,8 +9,6 @@ from paths import CASES, PAPER
 from ringwear_par import InputError, read_case, read_study
 from ringwear_par.errors import ComputationError, legible
 
-pytestmark = pytest.mark.serial
-
 
 def test_messages_are_short_and_on_one_line():
     assert legible("a" * 72) == "a" * 72

@@ -16,8 +16,6 @@ from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.local_state import LocalState
 
-pytestmark = pytest.mark.serial
-
 N, B = 19, 11
 R = np.linspace(28.5, 31.5, N)
 AREA = 2 * np.pi * R * np.gradient(R)

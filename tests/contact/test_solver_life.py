@@ -17,8 +17,6 @@ from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.laws.power import PowerLaw
 
-pytestmark = pytest.mark.serial
-
 N = 8
 COMPLIANCE = np.eye(N) + 0.1
 AREA = np.ones(N)

@@ -26,7 +26,7 @@ from ringwear_par.cli import main
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.measuring.definition.measure_file import read_measure
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 BLOCK = re.compile(
     r"(?:^<!-- (?P<word>file|not run): (?P<said>[^\n]+?) -->\n\n?)?"

@@ -11,8 +11,6 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.compliances import Compliances
 from ringwear_par.history.elastic.pairs import assemble
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def case():

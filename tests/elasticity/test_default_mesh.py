@@ -6,8 +6,6 @@ from paths import PAPER
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 
 def test_the_default_mesh_is_nearly_converged():
     """Of approach and wear at an edge with infinite pressures, against four times the elements."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.body import (
     body_zones,
@@ -18,8 +17,6 @@ from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
 from ringwear_par.elasticity.mesh import Mesh, contact_line, pair_slope
 from ringwear_par.elasticity.sections import Body, Material, Section
-
-pytestmark = pytest.mark.serial
 
 CONTACT = (28.5, 31.5)
 HARD, SOFT = Material(1e5, 0.25), Material(2e3, 0.4)
@@ -74,16 +71,6 @@ def test_as_many_equations_as_unknowns(body, contact):
         assert np.array_equal(np.unique(found[found >= 0]), np.arange(n))
     for zone, own in zip(zones, dofs, strict=True):
         assert (own.sign < 0.0).nonzero()[0].tolist() == sorted(zone.boundary.below)
-
-
-@pytest.mark.several
-@pytest.mark.parametrize(("body", "contact"), [BODIES[0], BODIES[3]])
-def test_same_compliance_on_any_number_of_ranks(body, contact, comm):
-    found = condensed(body, Mesh(24), comm, contact)
-    alone = condensed(body, Mesh(24), MPI.COMM_SELF, contact)
-    for name in QUANTITIES:
-        assert np.array_equal(getattr(found, name), getattr(alone, name)), name
-    assert found.cost.kernel_evaluations == alone.cost.kernel_evaluations
 
 
 @pytest.mark.parametrize(("body", "coarse"), [(COATED, 16), (BODIES[1][0], 16), (CHAMFERED, 32)])
@@ -188,9 +175,7 @@ def profiles(line, depths):
     return np.stack([depths[0] * (0.6 + 0.4 * np.cos(5.0 * x)), depths[1] * (0.2 + 0.8 * x**2)])
 
 
-@pytest.mark.parametrize(
-    "depths", [(0.02, 0.1), pytest.param((0.2, 0.45), marks=pytest.mark.ranks), (0.8, 0.6)]
-)
+@pytest.mark.parametrize("depths", [(0.02, 0.1), (0.2, 0.45), (0.8, 0.6)])
 def test_an_update_is_a_fresh_assembly(depths, comm):
     """Within layers, through one of them, and through all."""
     mesh, both = Mesh(24), (COATED, layered(UPPER, (0.3, SOFT)))

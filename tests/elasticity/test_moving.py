@@ -16,11 +16,8 @@ from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.mark.parametrize("name", ["chamfer", "sphere"])
-@pytest.mark.ranks
 def test_an_update_is_a_fresh_assembly(name, comm):
     """Whatever updates came before, to the last bit."""
     case = read_case(CASES / f"{name}.toml", ["mesh.contact_elements=32"])
@@ -77,7 +74,6 @@ def test_wear_at_the_nodes():
     assert not node_wear(line, np.zeros(16)).any()
 
 
-@pytest.mark.ranks
 def test_wear_through_half_a_body_is_an_error(comm):
     case = replace(paper_case(Mesh(16)), wear_lower=ThresholdLaw(1e-7))
     with pytest.raises(ComputationError, match="more than half of the height"):

@@ -16,8 +16,6 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 
-pytestmark = pytest.mark.serial
-
 CHAMFERED = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))
 
 

@@ -24,8 +24,6 @@ from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
 from ringwear_par.history.start import first_contact
 
-pytestmark = pytest.mark.serial
-
 CONTACT = (28.5, 31.5)
 TAN = math.tan(math.radians(10.0))
 
@@ -163,7 +161,6 @@ def test_cones_are_reciprocal(cones, comm):
     assert min(axial) > 0.01
 
 
-@pytest.mark.ranks
 def test_reactions_of_cones_are_those_of_equilibrium(cones):
     """Projected area for the force, true area for the torque."""
     errors = []

@@ -12,8 +12,6 @@ from ringwear_par.explorer.figures import CASE_FILE, Drawing
 from ringwear_par.explorer.measured import read_table
 from ringwear_par.explorer.moved_keys import raw_keys
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def drawn():

@@ -8,8 +8,6 @@ import ringwear_par as rw
 from ringwear_par.explorer.exploring import Exploration
 from ringwear_par.explorer.moved_keys import raw_keys
 
-pytestmark = pytest.mark.serial
-
 SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 #: keys of a rig as its users write them
 RIG = """

@@ -10,8 +10,6 @@ from ringwear_par.explorer.exploring import Exploration
 from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import Page
 
-pytestmark = pytest.mark.serial
-
 SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 
 

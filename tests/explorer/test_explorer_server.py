@@ -19,7 +19,6 @@ import ringwear_par as rw
 from ringwear_par.cli import main
 from ringwear_par.explorer.server import explore
 
-pytestmark = pytest.mark.serial
 SMALL = ["mesh.contact_elements=12", "time.steps=8"]
 
 

@@ -8,8 +8,6 @@ from paths import CASES, PAPER
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 SMALL = {"mesh.contact_elements": 12, "time.steps": 20}
 KEYS = ["wear.lower.k", "load.pressure"]
 
@@ -19,7 +17,6 @@ def case(comm):
     return rw.read_case(PAPER, SMALL)
 
 
-@pytest.mark.ranks
 def test_numbers_are_those_of_histories(case):
     outputs = ["penetration", "torque@10 s", "worn_volume_lower@all"]
     base = rw.read_case(PAPER, {**SMALL, "output.times": [5, 10]})

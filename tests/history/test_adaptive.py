@@ -20,8 +20,6 @@ from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 FORCE = 45238.934
 
 
@@ -195,7 +193,6 @@ def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
     assert errors[1] < 0.02 * size
 
 
-@pytest.mark.ranks
 def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")

@@ -14,8 +14,6 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.stable_steps import stable_steps
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture
 def stepped(paper_pair, comm):
@@ -33,7 +31,6 @@ def steps(scheme, step, number):
     return Stepping(scheme, step, number)
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize("scheme", ["implicit", "explicit"])
 def test_balances_at_every_step(stepped, scheme):
     step = 1.0 if scheme == "implicit" else 0.1
@@ -131,24 +128,6 @@ def test_implicit_steps_of_any_length_are_smooth(stepped):
         sign = np.diff(states[-1].wear[0])
         assert np.count_nonzero(np.diff(np.sign(sign))) <= 1  # one maximum, in the middle
         assert history.balances.force <= 1e-10
-
-
-@pytest.mark.several
-def test_same_history_on_any_number_of_ranks(stepped, comm):
-    """Twice: bitwise on the same ranks."""
-    _, states = stepped(time=steps("implicit", 1.0, 10))
-    _, again = stepped(time=steps("implicit", 1.0, 10))
-    assert np.array_equal(states[-1].wear, again[-1].wear)
-    assert states[-1].contact.approach == again[-1].contact.approach
-    from mpi4py import MPI
-
-    history, states = stepped(time=steps("implicit", 1.0, 10))
-    alone = assemble(history.physics.case, MPI.COMM_SELF)
-    _, single = stepped(alone, time=steps("implicit", 1.0, 10))
-    assert states[-1].contact.approach == pytest.approx(single[-1].contact.approach, rel=1e-9)
-    assert states[-1].wear[0] == pytest.approx(single[-1].wear[0], rel=1e-9)
-    assert states[-1].contact.pressure == pytest.approx(single[-1].contact.pressure, rel=1e-9)
-    assert states[-1].energy == pytest.approx(single[-1].energy, rel=1e-9)
 
 
 def test_torque_of_uniform_pressure_and_of_the_steady_state(stepped, paper_pair):

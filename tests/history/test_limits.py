@@ -14,7 +14,7 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.refusals.cases import check_memory, memory_needed
 
 
-@pytest.mark.parametrize("n", [64, pytest.param(128, marks=pytest.mark.serial)])
+@pytest.mark.parametrize("n", [64, 128])
 def test_memory_is_that_of_the_systems(comm, monkeypatch, n):
     """All that NumPy takes is counted, on whatever rank it is, and PETSc's factors and answers."""
     case = paper_case(Mesh(n))
@@ -44,7 +44,6 @@ GRID = {"r": [28.0, 32.0], "z": [18.0, 19.9], "n": [300, 300]}
 LIST = [[20.01 + 0.01 * i, 15.0] for i in range(900)]
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("key", ["stress.grid.n = [300, 300]", "stress.points: 900 of them"])
 def test_points_of_stress_that_take_the_memory_are_named_with_those_allowed(key, with_memory):
     stress = {"stress.points": LIST if "points" in key else LIST[:1]}

@@ -15,7 +15,6 @@ from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 
 #: no rank of a batch knows of others
-pytestmark = pytest.mark.serial
 SCHEMES = {"explicit": euler.forward, "implicit": euler.backward, "adaptive": sdirk2.step}
 
 

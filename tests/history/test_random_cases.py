@@ -10,7 +10,6 @@ import ringwear_par as rw
 ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("number", range(24))
 def test_a_random_case_keeps_its_balances(number):
     keys, _ = random_cases.random_case(np.random.default_rng((1, number)))

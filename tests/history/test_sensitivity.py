@@ -295,7 +295,7 @@ def test_steps_that_are_given(tmp_path):
 
 
 def test_results_hold_derivatives(tmp_path, comm):
-    case = case_of(comm.bcast(tmp_path), **{"output.fields": ["wear_lower"]})
+    case = case_of(tmp_path, **{"output.fields": ["wear_lower"]})
     keys = ["wear.lower.p0", "load.pressure"]
     result = rw.simulate(case, comm, derivatives=keys)
     one = rw.simulate(case, ALONE, derivatives=keys)
@@ -315,7 +315,6 @@ def test_results_hold_derivatives(tmp_path, comm):
         np.testing.assert_allclose(many[0].derivatives[name], slopes, atol=1e-9 * size)
 
 
-@pytest.mark.serial
 def test_files_hold_derivatives(tmp_path):
     xarray = pytest.importorskip("xarray")
     case = case_of(tmp_path, scheme="implicit", **{"output.profiles": "last"})

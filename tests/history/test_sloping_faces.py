@@ -29,8 +29,6 @@ from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 CHAMFER, PAPER = CASES / "chamfer.toml", PAPER
 DEGREES = 10.0
 COS = math.cos(math.radians(DEGREES))

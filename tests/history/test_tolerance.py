@@ -9,7 +9,7 @@ from paths import CASES
 
 import ringwear_par as rw
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 ADAPTIVE = [
     path.stem

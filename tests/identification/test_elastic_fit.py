@@ -9,11 +9,7 @@ import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit
 from ringwear_par.identification.model import histories as operators_room
-from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
-from ringwear_par.identification.model.rounds import Rounds
-from ringwear_par.results.execution.stop_signals import StopSignals
-
-pytestmark = pytest.mark.serial
+from ringwear_par.identification.model.histories import Histories
 
 ELEMENTS = 8
 TRUTH = {
@@ -63,12 +59,12 @@ def fit_tables(folder, keys, starts):
 
 
 @pytest.fixture
-def tables(shared_path):
+def tables(tmp_path):
     """A function that makes the fit file of a coating's thickness, modulus and k, as a dict."""
     if MPI.COMM_WORLD.rank == 0:
-        write_readings(shared_path)
+        write_readings(tmp_path)
     MPI.COMM_WORLD.barrier()
-    return lambda starts, keys=tuple(START): fit_tables(shared_path, keys, starts)
+    return lambda starts, keys=tuple(START): fit_tables(tmp_path, keys, starts)
 
 
 def numbers(result):
@@ -89,20 +85,6 @@ def test_a_search_between_operators_ends_at_the_optimum_of_exact_ones(tables, co
     assert between.chi2 == pytest.approx(exact.chi2, rel=1e-6)
     # the search itself was on rougher histories
     assert between.starts[0].optimum != exact.starts[0].optimum
-
-
-@pytest.mark.several
-def test_readings_between_operators_are_those_of_one_rank(tables, comm):
-    """To the last bit: ranks share the operators at the nodes, and a search all histories."""
-    problem = read_fit(tables(2))
-    points = np.outer([0.9, 1.1], list(problem.start.values()))
-    rounds, alone = Rounds(problem, comm, StopSignals()), Histories(problem, MPI.COMM_SELF)
-    rounds.operators.interpolate(comm)
-    alone.operators.interpolate(MPI.COMM_SELF)
-    assert rounds.operators.are_interpolated
-    together = rounds.lead(lambda: rounds.responses(points, ROUGH_STEPS, exact=False))
-    for one, other in zip(together, alone.responses(points, ROUGH_STEPS, exact=False), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_operators_between_others_are_those_of_a_search_only(tables, comm):

@@ -12,34 +12,29 @@ from ringwear_par.files.text import toml_value
 
 
 @pytest.fixture
-def ringwear(shared_path, comm, monkeypatch, capfd):
+def ringwear(tmp_path, comm, monkeypatch, capfd):
     """Function that runs the command: its status here, and what all ranks say."""
-    monkeypatch.chdir(shared_path)
+    monkeypatch.chdir(tmp_path)
 
     def ringwear(*words):
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stdout", sys.stdout)
             status = main(["fit", *words])
-            if comm.rank > 0:
-                sys.stdout.close()
-        said = comm.allgather("".join(capfd.readouterr()))
-        return status, "".join(said)
+        return status, "".join(capfd.readouterr())
 
     return ringwear
 
 
 @pytest.fixture
-def write(shared_path, comm):
+def write(tmp_path, comm):
     """Function that writes a fit file of one test, changed by another function."""
-    experiments = comm.bcast(write_tests(shared_path, (60.0,)) if comm.rank == 0 else None)
+    experiments = write_tests(tmp_path, (60.0,))
 
     def written(change):
-        tables = fit_tables(shared_path, experiments, starts=1)
+        tables = fit_tables(tmp_path, experiments, starts=1)
         change(tables)
-        if comm.rank == 0:
-            lines = (f"{key} = {toml_value(value)}\n" for key, value in tables.items())
-            Path("fit.toml").write_text("".join(lines))
-        comm.Barrier()
+        lines = (f"{key} = {toml_value(value)}\n" for key, value in tables.items())
+        Path("fit.toml").write_text("".join(lines))
 
     return written
 

@@ -8,8 +8,6 @@ from scipy.stats import norm
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 END = 40.0
 TRUTH = {"wear.lower.k": 3e-8, "wear.upper.k": 2e-8, "contact.friction": 0.2}
 #: in um

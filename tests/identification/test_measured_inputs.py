@@ -24,8 +24,6 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation.record_checks import input_trends
 from ringwear_par.identification.fit import fit_problem
 
-pytestmark = pytest.mark.serial
-
 K, MU = "wear.lower.k", "contact.friction"
 FRICTION = [[0.0, 0.06], [20.0, 0.1], [50.0, 0.12], [END, 0.12]]
 INPUT = {"key": MU, "quantity": "torque", "columns": {"time": "t_s", "value": "m_Nm"}}
@@ -151,14 +149,6 @@ def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables, com
     for inputs in found.to_dict()["inputs"].values():
         time, value = (np.array(inputs[MU][name]) for name in ("time", "value"))
         np.testing.assert_allclose(np.interp(t, time, value), true, rtol=1e-4)
-
-
-@pytest.mark.several
-def test_friction_is_that_of_one_rank(tables, comm):
-    del tables["experiment"][1]
-    found, alone = fit_problem(read_fit(tables), comm), rw.fit(tables, MPI.COMM_SELF)
-    assert [p.estimate for p in alone.parameters] == [p.estimate for p in found.parameters]
-    assert found.to_dict()["key"] == comm.bcast(read_fit(tables).key)
 
 
 def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):

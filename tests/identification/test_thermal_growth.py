@@ -39,8 +39,6 @@ OMEGA = 3.5 * 100.0 / END
 THERMAL = {"time": {"start": "20 min", "bounds": ["2 min", "3 h"],
                     "prior": {"normal": ["25 min", "8 min"]}}}  # fmt: skip
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def records():

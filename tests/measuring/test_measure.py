@@ -28,7 +28,6 @@ import ringwear_par as rw
 from ringwear_par.measuring.analysis.repeats import repeats_of
 from ringwear_par.reports.spreadsheets import export
 
-pytestmark = pytest.mark.serial
 EXAMPLE = ROOT / "scripts/measure"
 
 

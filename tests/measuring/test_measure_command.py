@@ -9,7 +9,6 @@ from paths import ROOT
 
 from ringwear_par.cli import main
 
-pytestmark = pytest.mark.serial
 EXAMPLE = ROOT / "scripts/measure"
 
 

@@ -9,8 +9,6 @@ from paths import ROOT
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):

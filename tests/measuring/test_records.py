@@ -11,8 +11,6 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.measurements import read_measurements
 from ringwear_par.measuring.definition.records import read_record
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture
 def read(tmp_path):

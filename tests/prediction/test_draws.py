@@ -8,8 +8,6 @@ from ringwear_par.identification.fitted_values import FittedValues
 from ringwear_par.prediction.draws import MATERIAL, NEXT, draw_paces, draw_values
 from ringwear_par.prediction.prediction import Prediction
 
-pytestmark = pytest.mark.serial
-
 DRAWS = 40_000
 #: standard errors that a moment may be off
 OFF = 4.0

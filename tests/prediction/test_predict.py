@@ -18,8 +18,6 @@ from ringwear_par.prediction import predict as module
 from ringwear_par.prediction.known import doubts_of, fit_knowledge, sources_of
 from ringwear_par.prediction.summary import _error_of_ends
 
-pytestmark = pytest.mark.serial
-
 FACTORS = (0.8, 1.0, 1.1, 1.3)
 K = "wear.lower.k"
 ADAPTIVE = {"time.scheme": "adaptive", "time.step": None, "time.steps": None}
@@ -30,23 +28,20 @@ ELSEWHERE = {**ADAPTIVE, "load.pressure": 110.0, "load.omega": 3.5, "time.end": 
 def found(tmp_path_factory):
     """The folder of a fit of four specimens, the same on all ranks, and the fit."""
     comm = MPI.COMM_WORLD
-    folder = comm.bcast(tmp_path_factory.mktemp("fit"))
+    folder = tmp_path_factory.mktemp("fit")
     tables = None
-    if comm.rank == 0:
-        rng, experiments = np.random.default_rng(4), []
-        for number, factor in enumerate(FACTORS, start=1):
-            pressure = (45.0, 80.0)[number % 2]
-            t, z = penetration(history(pressure, {**TRUTH, K: TRUTH[K] * factor}), rng)
-            data = record(folder / f"z{number}.csv", t, z, nuisance={"offset": {}})
-            experiments.append(one_test(f"test {number}", pressure, data))
-        (folder / "case.toml").write_text(CASE)
-        tables = fit_tables(folder, experiments, starts=1)
-        tables["fit"]["parameters"] = json.loads(json.dumps(tables["fit"]["parameters"]))
-        tables["fit"]["parameters"][K]["scatter"] = "fit"
-    fit = rw.fit(comm.bcast(tables), comm)
-    if comm.rank == 0:
-        fit.save(folder / "out")
-    comm.Barrier()
+    rng, experiments = np.random.default_rng(4), []
+    for number, factor in enumerate(FACTORS, start=1):
+        pressure = (45.0, 80.0)[number % 2]
+        t, z = penetration(history(pressure, {**TRUTH, K: TRUTH[K] * factor}), rng)
+        data = record(folder / f"z{number}.csv", t, z, nuisance={"offset": {}})
+        experiments.append(one_test(f"test {number}", pressure, data))
+    (folder / "case.toml").write_text(CASE)
+    tables = fit_tables(folder, experiments, starts=1)
+    tables["fit"]["parameters"] = json.loads(json.dumps(tables["fit"]["parameters"]))
+    tables["fit"]["parameters"][K]["scatter"] = "fit"
+    fit = rw.fit(tables, comm)
+    fit.save(folder / "out")
     return folder / "out", fit
 
 
@@ -55,7 +50,6 @@ def case(found):
     return rw.read_case(found[0].parent / "case.toml", ELSEWHERE)
 
 
-@pytest.mark.ranks
 def test_the_folder_knows_what_the_fit_knows(found, case, comm):
     folder, fit = found
     of_folder = rw.predict(folder, case, draws=8, seed=3, comm=comm)

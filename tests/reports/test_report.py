@@ -15,7 +15,7 @@ from report_pages import Read
 
 import ringwear_par as rw
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 #: units of figures and pages
 MICRO, CUBED = "\N{MICRO SIGN}m", "mm\N{SUPERSCRIPT THREE}"

@@ -8,8 +8,6 @@ import pytest
 from commands import python
 from paths import PAPER, ROOT
 
-pytestmark = pytest.mark.serial
-
 BROKEN = {
     "petsc4py": ("ImportError('no libmpi.so.12')", ("libmpi.so.12", "conda-forge", "Debian")),
     "mpi4py": ("RuntimeError('cannot load\\nMPI library')", ("mpi4py", "MPI library")),

@@ -20,8 +20,6 @@ PAGES = [
     *sorted((ROOT / "docs" / "howto").glob("*.md")),
 ]
 
-pytestmark = pytest.mark.serial
-
 
 def anchors(text):
     """Return what MyST and GitHub call the headings of a page."""

@@ -17,7 +17,6 @@ from ringwear_par.results.storage import export as module
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.storage.result_files import open_result
 
-pytestmark = pytest.mark.serial
 SMALL = ["mesh.contact_elements=16"]
 
 

@@ -15,8 +15,6 @@ from ringwear_par.results.key_numbers import instants
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.studies.pictures.plot import plot_stored
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, comm):

@@ -2,12 +2,9 @@
 
 import h5py
 import numpy as np
-import pytest
 from commands import ringwear
 from paths import PAPER
 from stored import assert_same
-
-pytestmark = pytest.mark.serial
 
 MOVING = ["mesh.contact_elements=16", "mesh.geometry=updated", "mesh.geometry_tolerance=0.001",
           "time.step=4"]  # fmt: skip

@@ -12,8 +12,6 @@ from ringwear_par.elasticity.stress.fields import COMPONENTS, max_shear, mises, 
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.results.storage.export import export
 
-pytestmark = pytest.mark.serial
-
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
     "stress.points": [[30.0, 19.9], [30.0, 20.0, "above"], [30.0, 22.0]],
@@ -77,17 +75,7 @@ def test_variables_and_file(tmp_path):
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
 
 
-@pytest.mark.several
-def test_the_same_on_all_ranks(comm):
-    from mpi4py import MPI
-
-    case = case_of(stress__times=[0.0, 100.0])
-    shared, alone = rw.simulate(case, comm), rw.simulate(case, MPI.COMM_SELF)
-    same(shared, alone)
-    assert [state.time for state in shared.stress.states] == [0.0, 120.0]
-
-
-@pytest.mark.parametrize("times", [pytest.param("last", marks=pytest.mark.ranks), [0.0, 60.0]])
+@pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
 def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
     """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
     made, integrated = [], StressRecovery._integrated

@@ -14,8 +14,6 @@ from ringwear_par.errors import InputError
 SMALL = ["--set", "mesh.contact_elements=8", "time.steps=3"]
 LAW = "from pathlib import Path\nPath({!r}).touch()\ndef rate(p, at):\n    return 0.0 * p\n"
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture
 def run(tmp_path):

@@ -10,7 +10,7 @@ from paths import ROOT
 
 from ringwear_par.cli import main
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 STORED = Path(__file__).with_name("summaries.txt")
 SMALL = "mesh.contact_elements=16"
 COMMANDS = [

@@ -18,7 +18,6 @@ from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.many import simulate_all
 
 ALONE = MPI.COMM_SELF
-pytestmark = pytest.mark.serial
 
 
 @pytest.fixture(scope="module")

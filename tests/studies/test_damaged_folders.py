@@ -14,7 +14,7 @@ from swept import table, variables, write_study
 import ringwear_par as rw
 from ringwear_par.errors import ComputationError
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 STUDY = """
 [vary]
 "wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }

@@ -5,8 +5,6 @@ from swept import CASE, table
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 #: two shapes and two moduli, in an order that is not that of any identity
 STUDY = """case = "paper.toml"
 [vary]

@@ -10,27 +10,21 @@ from ringwear_par.studies.execution import plan, team_store
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.storage.ensemble import open_ensemble
 
-pytestmark = pytest.mark.serial
-
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
 
 
 @pytest.fixture
-def swept(shared_path, comm):
+def swept(tmp_path, comm):
     """Sweep some thresholds in one folder."""
 
     def swept(values, case=CASE, **how):
-        path = write_study(shared_path, comm, THRESHOLDS.format(values), case)
-        try:
-            return sweep(path, shared_path / "out", comm, **how)
-        finally:
-            comm.Barrier()
+        path = write_study(tmp_path, comm, THRESHOLDS.format(values), case)
+        return sweep(path, tmp_path / "out", comm, **how)
 
     return swept
 
 
-@pytest.mark.ranks
-def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
+def test_another_version_does_not_mix_with_the_first(swept, tmp_path, comm, monkeypatch):
     mine = ringwear_par.__version__
     swept("0, 20")
     for module in (ringwear_par, version, plan, team_store):
@@ -41,7 +35,7 @@ def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, m
     assert f"2 by {mine}" in str(raised.value)
     assert swept("40").computed == 1  # the others are no longer of the study
     versions = dict.fromkeys(["0", "20"], mine) | {"40": "99.0"}
-    rows = table(shared_path / "out")
+    rows = table(tmp_path / "out")
     assert {row["wear.lower.p0"]: row["version"] for row in rows} == versions
 
 
@@ -50,12 +44,12 @@ UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(
 )
 
 
-def test_doubts_are_flags_of_a_sweep(swept, shared_path):
+def test_doubts_are_flags_of_a_sweep(swept, tmp_path):
     """As test_blocks.py has them beside those of runs."""
     text = UNSTABLE.replace("omega = 3.541666666666667", "omega = 35.0")
     assert "unstable explicit step" in str(swept("0, 20, 79.9", text))
     assert "unstable explicit step" in str(swept("0, 20, 79.9", text))  # nothing computed
-    rows = table(shared_path / "out")
+    rows = table(tmp_path / "out")
     assert "unstable_explicit_step" in rows[0]["flags"]
-    with open_ensemble(shared_path / "out") as data:
+    with open_ensemble(tmp_path / "out") as data:
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]

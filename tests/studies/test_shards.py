@@ -8,8 +8,6 @@ from stored_cases import block_of as block_of_cases
 from ringwear_par.studies.storage.blocks import DamagedError, Kind
 from ringwear_par.studies.storage.shards import Shard, read_shard
 
-pytestmark = pytest.mark.serial
-
 
 def block_of(*names):
     """A block of cases whose times are their numbers."""

@@ -8,8 +8,6 @@ import time
 import pytest
 from paths import ROOT
 
-pytestmark = pytest.mark.serial
-
 BATCH = ROOT / "slurm" / "ringwear.sbatch"
 SRUN = """#!/bin/bash
 trap 'exit 1' USR1

@@ -23,8 +23,6 @@ from ringwear_par.studies.definition.variations import Column, read_variations
 from ringwear_par.studies.definition.varied_columns import CaseColumns
 from ringwear_par.studies.execution import plan
 
-pytestmark = pytest.mark.serial
-
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """
 [vary]
@@ -43,9 +41,9 @@ mesh.contact_elements = { linear = [8, 16] }
 
 
 @pytest.fixture
-def write(shared_path, comm):
+def write(tmp_path, comm):
     def written(text):
-        return write_study(shared_path, comm, text, CASE)
+        return write_study(tmp_path, comm, text, CASE)
 
     return written
 
@@ -138,8 +136,8 @@ def test_latin_hypercube_has_one_point_in_each_stratum(write):
     assert sorted(strata) == list(range(50))
 
 
-def test_list_from_a_table(write, shared_path):
-    (shared_path / "rows.csv").write_text(
+def test_list_from_a_table(write, tmp_path):
+    (tmp_path / "rows.csv").write_text(
         'load.pressure,upper.r,time.scheme\n50,"[28, 32]",implicit\n60.5,"[28.5, 31.5]",explicit\n'
     )
     study = read_study(write('[design]\nmethod = "list"\nfile = "rows.csv"\n'))
@@ -148,11 +146,11 @@ def test_list_from_a_table(write, shared_path):
     assert len(study.groups) == 2
 
 
-def test_schemes_vary_and_each_has_the_keys_that_it_knows(shared_path, comm):
+def test_schemes_vary_and_each_has_the_keys_that_it_knows(tmp_path, comm):
     """A base case says the tolerance of the adaptive ones and the step of the others."""
     adaptive = CASE.replace('"implicit"', '"adaptive"') + "tolerance = 1e-5\n"
     text = '[vary]\n"time.scheme" = { values = ["implicit", "adaptive"] }\n'
-    study = read_study(write_study(shared_path, comm, text, adaptive))
+    study = read_study(write_study(tmp_path, comm, text, adaptive))
     assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
     assert study.case(1).time.tolerance == 1e-5
     assert "time.tolerance" not in study.keys(0)
@@ -271,7 +269,6 @@ def test_tables_in_python_are_a_study(write, tmp_path):
         read_study({"case": base, "vary": {"load.pressure": {"values": [-1]}}})
 
 
-@pytest.mark.ranks
 def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
     """Each kind of case is made once by a rank that has one, and the study is that of one rank."""
     text = DRAWN + '[design]\nmethod = "sobol"\ncount = 37\n'
@@ -298,10 +295,9 @@ def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
 def test_ranks_without_any_case(write, comm):
     path = write('[vary]\n"load.pressure" = { values = [50] }\n')
     found = read_study_together(path, 1, comm)
-    assert comm.bcast(found).ids == read_study(path).ids
+    assert found.ids == read_study(path).ids
 
 
-@pytest.mark.ranks
 def test_faults_found_together_are_those_found_alone(write, comm):
     text = f'[vary]\n"load.pressure" = {{ values = {list(range(-26, 4))} }}\n'
     path = write(text)

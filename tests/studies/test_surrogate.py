@@ -11,8 +11,6 @@ import ringwear_par as rw
 from ringwear_par.studies.analysis.sensitivity import surrogate_indices
 from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
 
-pytestmark = pytest.mark.serial
-
 KEYS = ("wear.lower.k", "load.pressure", "wear.lower.p0")
 CASE = {
     "lower": {"r": [20, 40], "z": [0, 20], "young": 1e4, "poisson": 0.3},

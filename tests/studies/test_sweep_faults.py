@@ -16,7 +16,6 @@ from ringwear_par.studies.execution import summary, team_store
 from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [
-    pytest.mark.serial,
     pytest.mark.slow,
     pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"),
 ]

@@ -16,7 +16,7 @@ from ringwear_par.studies.pictures.figures import draw_sweep, draw_sweep_and_sur
 from ringwear_par.studies.pictures.plot import plot_stored
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")

@@ -15,8 +15,6 @@ from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 
-pytestmark = pytest.mark.serial
-
 #: a hollow cylinder with its whole top as contact line
 RADII, HEIGHT = (20.0, 40.0), 20.0
 

@@ -22,8 +22,6 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.start import first_contact
 
-pytestmark = pytest.mark.serial
-
 #: radii of the discs, and E* of E = 1
 DISCS, MODULUS = (50.0, 100.0), exact.contact_modulus((1.0, NU))
 #: error of the extrapolation of contact radii of 1

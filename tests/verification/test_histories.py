@@ -16,8 +16,6 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.stable_steps import stable_steps
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 #: specific wear rates of both bodies, 1/MPa, where both wear
 BOTH = (1e-7, 3e-7)
 

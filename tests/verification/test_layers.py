@@ -27,8 +27,6 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.history.start import first_contact
 
-pytestmark = pytest.mark.serial
-
 BASE = Material(1.0, NU)
 NONE = np.array([], dtype=int)
 

@@ -19,8 +19,6 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
 
-pytestmark = pytest.mark.serial
-
 #: beyond this distance from an edge, mm, the shape of the pressure at the edge is resolved
 INSIDE = 0.02
 

@@ -9,7 +9,6 @@ from functools import partial
 
 import exact_solutions as exact
 import numpy as np
-import pytest
 from convergence import check_errors
 from reference_cases import NU
 from scipy.linalg import solve
@@ -19,8 +18,6 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.stress.fields import max_shear
 from ringwear_par.elasticity.stress.zone import ZoneStress
-
-pytestmark = pytest.mark.serial
 
 #: radius and height of the disc, over the radius of the contact
 BIG = 200.0

@@ -7,8 +7,6 @@ from commands import python, ringwear
 import ringwear_par as rw
 from ringwear_par import verify
 
-pytestmark = pytest.mark.serial
-
 
 def test_the_command():
     result = ringwear("verify")
@@ -30,7 +28,6 @@ raise SystemExit(cli.main(["verify"]))
     assert "failed: paper's rings, finite elements: approach" in result.stderr
 
 
-@pytest.mark.ranks
 def test_what_is_no_number_has_failed_too(monkeypatch, comm, capsys):
     """And the checks after it are done; one rank prints."""
 
@@ -43,13 +40,5 @@ def test_what_is_no_number_has_failed_too(monkeypatch, comm, capsys):
     with pytest.raises(rw.ComputationError, match=r"1 of 3 .*bar; disc"):
         verify.verify(comm)
     rows = capsys.readouterr().out.splitlines()
-    if comm.rank == 0:
-        assert [row.split()[-1] for row in rows[1:-1]] == ["failed", "failed", "ok"]
-        assert rows[2].split()[1:4] == ["2.2", "2", "1.0e-01"]  # the worst of its numbers
-    else:
-        assert rows == []
-
-
-@pytest.mark.several
-def test_ranks_pass_all_checks(comm):
-    verify.verify(comm)
+    assert [row.split()[-1] for row in rows[1:-1]] == ["failed", "failed", "ok"]
+    assert rows[2].split()[1:4] == ["2.2", "2", "1.0e-01"]  # the worst of its numbers

@@ -16,8 +16,6 @@ from ringwear_par.results.execution.run import run_case
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 
-pytestmark = pytest.mark.serial
-
 GOOD = """
 def rate(p, at): return 1e-8 * at.speed * p
 def d_rate_dp(p, at): return 1e-8 * at.speed + 0 * p
@@ -28,14 +26,12 @@ BASE = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=20", "wear
 
 
 @pytest.fixture
-def law(shared_path, comm):
+def law(tmp_path, comm):
     """Function that writes a law's file and returns the overrides that name it."""
 
     def law(source, name="law.py"):
-        path = shared_path / name
-        if comm.rank == 0:
-            path.write_text(source)
-        comm.Barrier()
+        path = tmp_path / name
+        path.write_text(source)
         return [*BASE, f"wear.lower.file={path}"]
 
     return law
@@ -53,10 +49,10 @@ def law(shared_path, comm):
         (GOOD.replace("* at.speed * p", "* p * (500 - p)"), "falls"),
     ],
 )  # fmt: skip
-def test_bad_laws_are_refused_before_work(law, shared_path, comm, source, words):
+def test_bad_laws_are_refused_before_work(law, tmp_path, comm, source, words):
     with pytest.raises(InputError, match=words):
-        run_case(PAPER, shared_path / "run.h5", law(source), comm=comm)
-    assert not (shared_path / "run.h5").exists()
+        run_case(PAPER, tmp_path / "run.h5", law(source), comm=comm)
+    assert not (tmp_path / "run.h5").exists()
 
 
 class _Mine:
@@ -121,18 +117,16 @@ def test_what_is_no_law_is_refused(law, comm, bad, words):
         simulate(case, comm)
 
 
-@pytest.mark.ranks
-def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, shared_path, comm):
+def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, tmp_path, comm):
     late = "import numpy as np\n" + GOOD.replace(
         "1e-8 * at.speed * p", "np.where(at.time > 5, -1.0, 1e-8 * at.speed * p)"
     )
     with pytest.raises(ComputationError, match=r"-1.*time [\d.]+ s, element \d+"):
-        run_case(PAPER, shared_path / "run.h5", law(late), comm=comm)
+        run_case(PAPER, tmp_path / "run.h5", law(late), comm=comm)
 
 
-@pytest.mark.ranks
-def test_restart_wants_the_same_law(law, shared_path, comm):
-    output, keys = shared_path / "run.h5", law(GOOD)
+def test_restart_wants_the_same_law(law, tmp_path, comm):
+    output, keys = tmp_path / "run.h5", law(GOOD)
     run_case(PAPER, output, keys, comm=comm)
     law(TRIPLE)
     with pytest.raises(InputError, match="another wear law"):
@@ -141,7 +135,7 @@ def test_restart_wants_the_same_law(law, shared_path, comm):
     run_case(PAPER, output, [*keys, "time.end=40"], comm=comm, restart=True)
 
 
-def test_wear_that_grows_too_fast_with_itself_is_told(law, shared_path, comm):
+def test_wear_that_grows_too_fast_with_itself_is_told(law, tmp_path, comm):
     """Fixed steps say so; adaptive ones become smaller until half of the body is gone."""
     growing = """
 def rate(p, at): return 1e-8 * at.speed * p * (1 + at.wear / 1e-3)
@@ -151,35 +145,34 @@ def d_rate_dwear(p, at): return 1e-8 * at.speed * p / 1e-3
     fixed = [k for k in law(growing) if not k.startswith("time")]
     fixed += ["time.scheme=implicit", "time.step=50", "time.steps=2"]
     with pytest.raises(ComputationError, match="too fast"):
-        run_case(PAPER, shared_path / "a.h5", fixed, comm=comm)
+        run_case(PAPER, tmp_path / "a.h5", fixed, comm=comm)
     with pytest.raises(ComputationError, match="half of its height"):
-        run_case(PAPER, shared_path / "a.h5", [*law(growing), "time.end=2000"], comm=comm)
+        run_case(PAPER, tmp_path / "a.h5", [*law(growing), "time.end=2000"], comm=comm)
 
 
-def test_a_file_may_have_breakpoints(law, shared_path, comm):
+def test_a_file_may_have_breakpoints(law, tmp_path, comm):
     """A pulse that one long step would pass over."""
     pulse = GOOD.replace("return 1e-8", "return (10 < at.time <= 100) * 1e-8")
     for source, wears in (
         (pulse, False),
         (pulse + "breakpoints = [10.0, 10.001, 100.0, 100.001]", True),
     ):
-        output = shared_path / f"{wears}.h5"
+        output = tmp_path / f"{wears}.h5"
         run_case(PAPER, output, [*law(source), "time.end=2000"], comm=comm)
-        if comm.rank == 0:
-            with h5py.File(output) as file:
-                assert (file["worn_volume_lower"][-1] > 1.0) == wears
+        with h5py.File(output) as file:
+            assert (file["worn_volume_lower"][-1] > 1.0) == wears
 
 
-def test_a_slope_with_kinks_is_no_wrong_one(law, shared_path, comm):
+def test_a_slope_with_kinks_is_no_wrong_one(law, tmp_path, comm):
     kinked = """
 import numpy as np
 P = np.linspace(0.0, 1000.0, 3000)
 def rate(p, at): return 1e-11 * np.interp(p, P, P**2)
 def d_rate_dp(p, at): return 1e-11 * np.diff(P**2)[np.searchsorted(P[1:], p)] / P[1]
 """
-    run_case(PAPER, shared_path / "a.h5", law(kinked), comm=comm)
+    run_case(PAPER, tmp_path / "a.h5", law(kinked), comm=comm)
     with pytest.raises(InputError, match=r"d_rate_dp\(\) is not the derivative"):
-        run_case(PAPER, shared_path / "a.h5", law(kinked.replace("/ P[1]", "/ 0.33")), comm=comm)
+        run_case(PAPER, tmp_path / "a.h5", law(kinked.replace("/ P[1]", "/ 0.33")), comm=comm)
 
 
 def test_a_law_that_overrides_the_rate_of_another_wears_at_its_own(comm):
@@ -206,16 +199,15 @@ def test_a_law_that_overrides_the_rate_of_another_wears_at_its_own(comm):
     assert derived == pytest.approx(known, rel=1e-9)
 
 
-def test_energy_of_schedules(shared_path, comm):
+def test_energy_of_schedules(tmp_path, comm):
     """Force and speed grow in proportion to time, and nothing wears."""
     keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=100", "wear.lower.k=0",
             "load.omega=[[0, 0], [100, 1]]", "load.pressure=[[0, 0], [100, 80]]"]  # fmt: skip
-    run_case(PAPER, shared_path / "run.h5", keys, comm=comm)
-    if comm.rank == 0:
-        with h5py.File(shared_path / "run.h5") as file:
-            exact = file["torque"][-1] * 100.0 / 3.0
-            assert file["dissipated_energy"][-1] == pytest.approx(exact, rel=1e-3)
-            assert len(file["time"]) < 60
+    run_case(PAPER, tmp_path / "run.h5", keys, comm=comm)
+    with h5py.File(tmp_path / "run.h5") as file:
+        exact = file["torque"][-1] * 100.0 / 3.0
+        assert file["dissipated_energy"][-1] == pytest.approx(exact, rel=1e-3)
+        assert len(file["time"]) < 60
 
 
 def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
@@ -231,14 +223,14 @@ def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
     assert read.count(path) == 1
 
 
-def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, shared_path):
+def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, tmp_path):
     keys = [*law(GOOD), "contact.friction=-1"]
-    (shared_path / "law.py").write_bytes(b"\xff\xfe")
+    (tmp_path / "law.py").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError) as told:
         read_case(PAPER, keys)
     friction, file = told.value.faults
     assert "contact.friction = -1" in friction
-    path = shared_path / "law.py"
+    path = tmp_path / "law.py"
     said = f"wear.lower.file = {path}: is not a text file in UTF-8; must be a Python file"
     assert file == f"{PAPER}: {said}"
     missing = [*law(GOOD)[:-1], "wear.lower.file=nowhere.py"]

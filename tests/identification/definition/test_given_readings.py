@@ -14,8 +14,6 @@ from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.summary import prediction
 
-pytestmark = pytest.mark.serial
-
 
 def test_times_that_end_long_before_the_test(good, tmp_path):
     """Minutes that are read as seconds: a warning of the dry run and of the fit."""

@@ -14,8 +14,6 @@ from ringwear_par.identification.fit import expected_result
 from ringwear_par.identification.fit_numbers import specific_wear_rate
 from ringwear_par.identification.summary import key_rows
 
-pytestmark = pytest.mark.serial
-
 
 def test_numbers_with_units(plan):
     """As in case files."""

@@ -4,8 +4,6 @@ import copy
 import re
 from pathlib import Path
 
-import pytest
-
 from ringwear_par.cases.tables import key_table
 from ringwear_par.cli import main
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -45,7 +43,6 @@ def test_defaults_are_those_of_what_is_read():
     assert said.parameters == plain.parameters
 
 
-@pytest.mark.serial
 def test_the_table_is_printed(capsys):
     assert main(["info", "--schema", "fit"]) == 0
     fit = capsys.readouterr().out

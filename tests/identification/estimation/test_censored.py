@@ -24,7 +24,6 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.noise import censored_rows
 
-pytestmark = pytest.mark.serial
 K = "wear.lower.k"
 
 

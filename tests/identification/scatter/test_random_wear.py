@@ -25,21 +25,16 @@ from ringwear_par.identification.definition.problem import ProcessNoise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import Histories
 
-pytestmark = pytest.mark.serial
-
 TESTS, SHARE, BODY = 3, 0.05, "wear.lower"
 
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
-    """Records and weighings of repeats whose clocks run at random; the same on all ranks."""
-    comm = MPI.COMM_WORLD
-    folder = comm.bcast(tmp_path_factory.mktemp("random"))
-    experiments = None
-    if comm.rank == 0:
-        (folder / "case.toml").write_text(CASE)
-        experiments = write_experiments(folder)
-    return fit_tables(folder, comm.bcast(experiments), process={BODY: "fit"}, starts=1)
+    """Records and weighings of repeats whose clocks run at random."""
+    folder = tmp_path_factory.mktemp("random")
+    (folder / "case.toml").write_text(CASE)
+    experiments = write_experiments(folder)
+    return fit_tables(folder, experiments, process={BODY: "fit"}, starts=1)
 
 
 def write_experiments(folder):
@@ -74,7 +69,6 @@ def of_k(tables, process="fit", tests=TESTS):
     return changed
 
 
-@pytest.mark.ranks
 def test_k_and_the_size_of_wear_s_noise(tables, tmp_path, comm):
     fit = rw.fit(of_k(tables), comm)
     outcome = fit.to_dict()
@@ -93,14 +87,13 @@ def test_k_and_the_size_of_wear_s_noise(tables, tmp_path, comm):
     assert outcome["doubts"] == []
     assert outcome["p_value"] > 1e-3
     assert len(set(comm.allgather(json.dumps(outcome["parameters"])))) == 1
-    if comm.rank == 0:
-        fit.save(tmp_path / "fit")
-        assert not (tmp_path / "fit" / "specimens.png").exists()
-        with h5py.File(tmp_path / "fit" / "results.h5") as file:
-            excess, sd = (file["1_penetration"][f"excess_lower{end}"][()] for end in ("", "_sd"))
-        assert np.abs(excess).max() > 3e-5
-        assert (sd < 0.1 * SHARE).all()
-        assert "wear of lower fluctuates: sd " in fit.summary()
+    fit.save(tmp_path / "fit")
+    assert not (tmp_path / "fit" / "specimens.png").exists()
+    with h5py.File(tmp_path / "fit" / "results.h5") as file:
+        excess, sd = (file["1_penetration"][f"excess_lower{end}"][()] for end in ("", "_sd"))
+    assert np.abs(excess).max() > 3e-5
+    assert (sd < 0.1 * SHARE).all()
+    assert "wear of lower fluctuates: sd " in fit.summary()
 
 
 def test_a_size_that_is_known_and_one_test(tables):

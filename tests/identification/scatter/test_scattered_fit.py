@@ -27,7 +27,7 @@ from ringwear_par.identification.fitted_values import fitted_values
 from ringwear_par.identification.scatter import likelihood
 from ringwear_par.prediction.draws import draw_values
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 SPECIMENS, SCATTER = 5, 0.2
 K, P0 = "wear.lower.k", "wear.lower.p0"

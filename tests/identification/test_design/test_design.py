@@ -3,7 +3,6 @@
 import copy
 import itertools
 import json
-import pickle
 import tomllib
 from dataclasses import replace
 
@@ -19,8 +18,6 @@ from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.test_design.candidates import candidates
 from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_folder import FILES, next_tests
-
-pytestmark = pytest.mark.serial
 
 VARY = {"load.pressure": [40.0, 96.0]}
 
@@ -53,7 +50,6 @@ def spreads(found):
     return np.array([p.sd for p in found.parameters])
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize("elements", [12, 16])
 def test_information_is_that_of_a_fit(tables, comm, elements):
     """With all nuisances eliminated from each test by itself, as the fit has them together.
@@ -124,14 +120,6 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     gain = rw.design(source, comm, after=folder, criterion="eig").designs[0]
     assert gain.tests == found.designs[0].tests  # they differ by what was known before
     assert 0.0 < gain.score < 5.0
-
-
-@pytest.mark.several
-def test_results_do_not_depend_on_ranks(tables, comm):
-    found = rw.design(tables(), comm)
-    one, other = found.to_dict(), rw.design(tables(), MPI.COMM_SELF).to_dict()
-    assert pickle.loads(pickle.dumps(found)).to_dict() == one  # no communicator in it
-    assert one["designs"] == other["designs"]
 
 
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
@@ -210,7 +198,7 @@ def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
     source = tables(starts=1)
     for experiment in source["experiment"]:
         experiment["data"][0]["sd"] = "fit"
-    folder = comm.bcast(str(tmp_path))
+    folder = str(tmp_path)
     earlier = fit(source, comm)
     earlier.save(folder)
     found = rw.design(source, comm, after=folder)
