@@ -94,7 +94,8 @@ def _run(words: list[str], comm: Any) -> None:
     with together(comm):
         arguments = parsed(words[:cut])
     function, kind = arguments.pop("load")
-    if arguments.pop("no_cache", False) or arguments.pop("command") == "verify":
+    command, no_cache = arguments.pop("command"), arguments.pop("no_cache", False)
+    if no_cache or command == "verify":
         from ringwear_par.elasticity import pair_cache
 
         os.environ[pair_cache.VARIABLE] = ""
