@@ -109,7 +109,7 @@ def test_a_failed_last_write_is_an_error_on_all_ranks(shared_path, comm, monkeyp
         raise OSError(28, "No space left on device", "run.h5")
 
     monkeypatch.setattr(driver, "write_result", failing)
-    with pytest.raises(ComputationError, match=r"run.h5: No space left on device"):
+    with pytest.raises(ComputationError, match="No space left"):
         run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
     assert not list(shared_path.glob("*"))
 
