@@ -11,7 +11,6 @@ from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
 
 TEXT = PAPER.read_text()
-TABLES = tomllib.loads(TEXT)
 FILES = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))
 ADAPTIVE = TEXT.replace('"implicit"', '"adaptive"')
 BOTH = ADAPTIVE + "end = 20.0\n"
