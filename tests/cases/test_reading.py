@@ -12,7 +12,6 @@ from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import parse_case, read_case
 
 TEXT = PAPER.read_text()
-TABLES = tomllib.loads(TEXT)
 FILES = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))
 ADAPTIVE = TEXT.replace('"implicit"', '"adaptive"')
 BOTH = ADAPTIVE + "end = 20.0\n"

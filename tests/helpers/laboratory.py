@@ -20,9 +20,8 @@ FITTED = {
 END = 100.0
 #: mm
 SD_PENETRATION, SD_PROFILE = 2e-4, 8e-5
-#: places in a fit file of two series of its first test, and of a parameter
+#: places in a fit file of two series of its first test
 PEN, PROF = ("experiment", 0, "data", 0), ("experiment", 0, "data", 1)
-K = ("fit", "parameters", "wear.lower.k")
 
 
 def history(pressure, truth=TRUTH, end=END, **changes):

@@ -204,8 +204,8 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
 
     change_steps(monkeypatch, never)
     with pytest.raises(
-        rw.ComputationError,
-        match=r"^contact: no, and no step is short enough; in step 1, from time 0 s$",
+        ComputationError,
+        match=r"contact: no.*step 1",
     ):
         stepped(time=until(10.0))
 

@@ -53,5 +53,4 @@ def test_what_no_reading_tells_is_refused_and_nothing_written(write, ringwear):
     status, told = ringwear("fit.toml", "-o", "out")
     assert status == 2, told
     assert said in told
-    assert told.count(said) == 1
     assert (np.array(sorted(p.name for p in Path().iterdir())) == before).all()

@@ -16,7 +16,8 @@ COMMANDS = [
     f"run cases/paper.toml -o run.h5 --verbose --set {SMALL}",
     f"run cases/two_layers.toml -o layers.h5 --verbose --set {SMALL} stress.times=last "
     "stress.exclude=0.05 lower.layers[0].density=7.8e-3",
-    f"run cases/paper.toml -o crude.h5 --set {SMALL} time.scheme=explicit time.step=60",
+    f"run cases/paper.toml -o crude.h5 --set {SMALL} time.scheme=explicit time.step=60 "
+    "time.steps=3",
     "sweep cases/wear_law.toml -o sweep",
     "fit fit/tests.toml -o dry --dry-run",
     "fit fit/tests.toml -o fit.out",

@@ -328,7 +328,7 @@ def test_a_sweep_is_answered_for(swept):
     with rw.open_ensemble(swept / "a") as data:
         made = rw.surrogate(data)
         early = rw.surrogate(swept / "a" / "results.h5", times=[35.0, 100.0])
-        with pytest.raises(rw.InputError, match="some of its cases were selected"):
+        with pytest.raises(rw.InputError, match="selected"):
             rw.surrogate(data.isel(case=slice(0, 30)))
     assert set(made.names) == {
         "penetration", "worn_volume_lower", "worn_volume_upper", "largest_wear_lower",

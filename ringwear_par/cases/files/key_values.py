@@ -157,13 +157,9 @@ def read_law(
         if parameter.needed and values.get(f"{table}.{key}", "") is None
     ]
     own_keys = law_keys(table, law)
+    where = f'where {table}.law = "{law}"; must be among {", ".join(declared)}'
     law_faults += [
-        Fault(
-            f'{path}: has no meaning where {table}.law = "{law}"; must be among '
-            f"{', '.join(declared)}{_owners(path)}",
-            path,
-            "conflict",
-        )
+        Fault(f"{path}: has no meaning {where}{_owners(path)}", path, "conflict")
         for path in keys
         if path.startswith(f"{table}.") and path not in own_keys and key_of(path) is not None
     ]

@@ -212,8 +212,7 @@ def _read_alternatives(
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
     laws = {}
     if not isinstance(table, Mapping):
-        sentence = f"{place} = {shortened(table)}: must be a table"
-        faults.append(Fault(sentence, "compare", "not_allowed"))
+        faults.append(f"{place} = {shortened(table)}: must be a table")
         return {}
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)

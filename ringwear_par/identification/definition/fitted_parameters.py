@@ -61,8 +61,7 @@ def _is_other(unit: str, key: str) -> bool:
 def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
     """Return the units in which fitted keys are reported, as ``fit.units`` names them."""
     if not isinstance(table, Mapping):
-        sentence = f"{place} = {shortened(table)}: must be a table of units by fitted key"
-        faults.append(Fault(sentence, "fit.units", "not_allowed"))
+        faults.append(f"{place} = {shortened(table)}: must be a table of units by fitted key")
         return {}
     fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
     units = unnested(table, set())

@@ -84,8 +84,7 @@ def read_inputs(
     was measured.
     """
     if not isinstance(tables, list):
-        sentence = f"{place}: input: must be tables, [[experiment.input]]"
-        faults.append(Fault(sentence, "experiment.input", "not_allowed"))
+        faults.append(f"{place}: input: must be tables, [[experiment.input]]")
         return (), {}
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)

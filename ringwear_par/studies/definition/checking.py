@@ -200,22 +200,20 @@ def case_faults(
     study: str, first_bad: Sequence[tuple[int, Sequence[str]]], bad: int, count: int
 ) -> list[str]:
     """Return the faults of bad cases, each with its ``case_name``, and how many more there are."""
-    cases_of: dict[str, list[int]] = {}
-    first: dict[str, Fault] = {}  # of each sentence
+    cases_of: dict[Fault, list[int]] = {}
     with_new = covered = 0
     for number, faults in first_bad:
         named = f"{case_name(study, number)}: "
-        sentences = {fault.removeprefix(named): Fault(fault) for fault in faults}
+        sentences = dict.fromkeys(Fault(f).reworded(f.removeprefix(named)) for f in faults)
         if not sentences.keys() <= cases_of.keys():
             if with_new == _LISTED:
                 continue
             with_new += 1
         covered += 1
-        first = sentences | first
         for sentence in sentences:
             cases_of.setdefault(sentence, []).append(number)
     lines: list[str] = [
-        first[sentence].reworded(f"{study}: {_case_words(cases)}: {sentence}")
+        sentence.reworded(f"{study}: {_case_words(cases)}: {sentence}")
         for sentence, cases in cases_of.items()
     ]
     if bad > covered:

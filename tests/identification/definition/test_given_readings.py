@@ -150,15 +150,6 @@ def test_a_part_that_opposes_the_model_is_told(good, tmp_path, comm):
     assert not any(one.code == "readings-oppose" for one in fit(tables, comm).doubts)
 
 
-def test_readings_that_are_left_out_are_not_counted(good):
-    tables = copy.deepcopy(good)
-    tables["experiment"][0]["data"][0] |= {"sd": "fit", "exclude": [[0.0, 85.0]]}
-    with pytest.raises(rw.InputError, match="9 readings"):
-        read_fit(tables)
-    tables["experiment"][0]["data"][0]["exclude"] = [[0.0, 81.0]]
-    assert read_fit(tables).experiments[0].series[0].n == 10
-
-
 def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
     t = np.linspace(1.0, 100.0, 50)
     write_table(tmp_path / "m.csv", ("time", "value"), t, -10.0 - np.sin(t))

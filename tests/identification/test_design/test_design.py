@@ -129,7 +129,7 @@ def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     assert len(found.failed) + len(found.candidates) == 10
     assert all("worn off lower" in why for why in found.failed.values())
     assert "cannot be computed and are left out" in found.summary()
-    with pytest.raises(rw.ComputationError, match=r"which leaves too few: .*worn off"):
+    with pytest.raises(rw.ComputationError, match="too few"):
         rw.design(tables({"time.end": [500000.0, 600000.0]}, {"experiments": 1}), comm)
 
 
@@ -138,7 +138,7 @@ def test_a_fitted_key_cannot_vary(tables, comm):
     source["fit"]["parameters"]["load.omega"] = {"start": 3.5, "bounds": [1.0, 10.0]}
     for experiment in source["experiment"]:
         del experiment["set"]["load.omega"]
-    with pytest.raises(rw.InputError, match=r"load.omega: is fitted as well"):
+    with pytest.raises(rw.InputError, match=r"load\.omega"):
         rw.design(source, comm)
 
 
@@ -189,7 +189,7 @@ def test_instants_of_profiles_vary(tables, comm):
         {**one, "data": [series for series in one["data"] if series["quantity"] == "penetration"]}
         for one in source["experiment"]
     ]
-    with pytest.raises(rw.InputError, match=r"profiles: needs a profile in experiment .test 1"):
+    with pytest.raises(rw.InputError, match="profiles"):
         rw.design(source, comm)
 
 
