@@ -116,7 +116,7 @@ def parser() -> argparse.ArgumentParser:
             epilog=f"example:\n  {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        if kind == "solves":
+        if kind == "solves" and name != "verify":  # which never reads them
             a.flag("--no-cache", "assemble every contact pair, neither read nor write stored ones "
                    "(their folder: ringwear info)")
         a.set_defaults(load=(function, kind))
@@ -263,7 +263,7 @@ def parser() -> argparse.ArgumentParser:
     command(
         "laws", "print the rates of a case's wear laws, and test their derivatives",
         "cases.files.law_trials:check_laws", "ringwear laws case.toml --set wear.lower.p0=0",
-        "serial")
+        "serial").case()
     command(
         "verify", "check that this installation computes rightly, by reference solutions",
         "verification.verify:verify", "ringwear verify", "solves")
