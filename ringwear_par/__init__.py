@@ -2,8 +2,8 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies``, ``identification``, ``prediction``, ``measuring``, ``functions``, ``reports``,
-``explorer`` and ``verification``.
+``studies``, ``identification``, ``prediction``, ``measuring``, ``functions``, ``reports`` and
+``explorer``.
 Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw

@@ -261,12 +261,8 @@ def parser() -> argparse.ArgumentParser:
     a.flag("--interfaces",
            "write the stresses along the interfaces between layers to .vtkhdf or .csv")
     command(
-        "laws", "print the rates of a case's wear laws, and test their derivatives",
-        "cases.files.law_trials:check_laws", "ringwear laws case.toml --set wear.lower.p0=0",
-        "serial").case()
-    command(
-        "verify", "check that this installation computes rightly, by reference solutions",
-        "verification.verify:verify", "ringwear verify", "solves")
+        "verify", "check that this installation computes rightly: ten numbers, in seconds",
+        "verify:verify", "ringwear verify", "solves")
     a = command(
         "info", "print versions, MPI and PETSc builds, ranks and threads, or all keys of files",
         "info:print_info", "ringwear info --schema case wear.lower")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 #: longest value, key or word of a user, and longest sentence that messages show in full
 _LONGEST_VALUE, LONGEST_SENTENCE = 72, 1000
@@ -107,12 +107,47 @@ class LawError(ComputationError):
     """A user's wear law that failed; no other step will do."""
 
 
+#: kinds of fault: "not_allowed" is a value that is wrong by itself, "conflict" are keys that do not
+#: go together, "unreadable" is a file, "exists" one that would be overwritten; "invalid": another
+Code = Literal[
+    "unknown_key", "missing", "not_allowed", "conflict", "unit", "unreadable", "not_found",
+    "exists", "invalid",
+]  # fmt: skip
+
+
+class Fault(str):
+    """The sentence of one fault: the file, the key, the value and what is allowed.
+
+    Attributes
+    ----------
+    loc : the dotted key, as ``info --schema`` lists it; "" where it is of no one key.
+    code : the kind of fault.
+    """
+
+    loc: str
+    code: Code
+
+    def __new__(cls, sentence: str, loc: str = "", code: Code | None = None) -> "Fault":
+        """Return a fault; a sentence that is one keeps what is not given."""
+        fault = super().__new__(cls, sentence)
+        fault.loc = loc or (sentence.loc if isinstance(sentence, Fault) else "")
+        fault.code = code or (sentence.code if isinstance(sentence, Fault) else "invalid")
+        return fault
+
+    def reworded(self, sentence: str) -> "Fault":
+        """Return the same fault in other words."""
+        return Fault(sentence, self.loc, self.code)
+
+    def __reduce__(self) -> tuple[type["Fault"], tuple[str, str, str]]:
+        return Fault, (str(self), self.loc, self.code)
+
+
 class InputError(RingwearError):
     """Bad input: one sentence a fault, all faults of a file together; exit status 2.
 
     Parameters
     ----------
-    *faults : the sentences, each naming the file, the key, the value and what is allowed.
+    *faults : the sentences, see ``Fault``.
     """
 
     exit_status = 2
@@ -121,10 +156,12 @@ class InputError(RingwearError):
         more = len(faults) - MOST_FAULTS
         if more > 1:  # one more than that is the sentence that there are more
             faults = (*faults[:MOST_FAULTS], f"and {more} faults more")
-        self.faults = tuple(legible(fault, LONGEST_SENTENCE) for fault in faults)
+        self.faults = tuple(
+            Fault(fault).reworded(legible(fault, LONGEST_SENTENCE)) for fault in faults
+        )
         Exception.__init__(self, "\n".join(self.faults))
 
-    def __reduce__(self) -> tuple[type["InputError"], tuple[str, ...]]:
+    def __reduce__(self) -> tuple[type["InputError"], tuple[Fault, ...]]:
         return type(self), self.faults
 
 

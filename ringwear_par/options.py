@@ -34,8 +34,8 @@ def start_petsc(words: Sequence[str]) -> None:
     except ImportError as error:
         raise RingwearError(
             f"PETSc for Python does not load ({error}): it comes with Debian's "
-            "python3-petsc4py-real, with the wheel dolfinx-solver-real, or with petsc4py built for "
-            "a cluster's PETSc (see README, On a cluster)"
+            "python3-petsc4py-real, with conda-forge's petsc4py (environment.yml), or built for a "
+            "cluster's PETSc (see docs/howto/cluster.md)"
         ) from error
     except RuntimeError as error:  # what PETSc's own are
         raise InputError(f"-- {legible(' '.join(words))}: PETSc does not accept it") from error

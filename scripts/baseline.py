@@ -137,7 +137,9 @@ def record_runs(folder: Path) -> Iterator[tuple[str, Record]]:
 
 def record_random_cases(_folder: Path) -> Iterator[tuple[str, Record]]:
     """Record random cases, alone and side by side."""
-    from random_cases import random_case  # starts MPI, after which no mpirun can be started here
+    # names of users start MPI, after which no mpirun can be started here
+    sys.path.insert(0, str(SCRIPTS.parent / "tests" / "helpers"))
+    from random_cases import random_case
 
     names = [f"{number:02d}" for number in range(_RANDOM_CASES)]
     cases = [

@@ -21,7 +21,6 @@ from paths import CASES, PAPER
 
 from ringwear_par.cli import main
 
-pytestmark = pytest.mark.serial
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 COATED, STRESS = CASES / "coated.toml", CASES / "stress.toml"
 LAW = """

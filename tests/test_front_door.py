@@ -11,8 +11,6 @@ from paths import PAPER
 import ringwear_par as rw
 from ringwear_par.results.execution.run import run_case
 
-pytestmark = pytest.mark.serial
-
 SMALL = {"mesh.contact_elements": 16, "time.steps": 10}
 SET = [f"{key}={value}" for key, value in SMALL.items()]
 #: what differs between two computations of the same
@@ -37,13 +35,13 @@ def without_clock(dataset):
     "words",
     [
         {},
-        pytest.param({"time.scheme": "adaptive"}, marks=pytest.mark.ranks),
+        {"time.scheme": "adaptive"},
         {"output.times": [0.5, 7.2]},
     ],
 )
-def test_simulate_gives_what_run_stores(case, shared_path, comm, words):
+def test_simulate_gives_what_run_stores(case, tmp_path, comm, words):
     result = rw.simulate(case.replace(words), comm)
-    path = shared_path / "run.h5"
+    path = tmp_path / "run.h5"
     keys = [*SET, *(f"{key}={value}" for key, value in words.items())]
     run_case(PAPER, path, keys, comm=comm)
     with xarray.open_dataset(path, engine="h5netcdf") as stored:

@@ -23,7 +23,6 @@ def test_an_error_of_the_last_rank_is_raised_on_all(comm, error, kind, told):
     with pytest.raises(kind, match=told), together(comm):  # noqa: PT012
         if comm.rank == comm.size - 1:
             raise error
-    comm.Barrier()
 
 
 def test_the_first_rank_acts_for_all(comm):
@@ -36,7 +35,6 @@ def test_the_first_rank_acts_for_all(comm):
     if comm.size > 1:
         with pytest.raises(Exception, match="pickle"):
             on_first_rank(comm, lambda: fail)
-    comm.Barrier()
 
 
 @pytest.mark.parametrize("failing", [None, 0, 1, 5])
@@ -53,7 +51,6 @@ def test_tasks_of_all_ranks(comm, failing):
     else:
         with pytest.raises(rw.ComputationError, match=f"no square of {failing}"):
             with_help_of_all(comm, squares)
-    comm.Barrier()
 
 
 def _square(number, failing):

@@ -14,7 +14,6 @@ from waiting import Waiting
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
 SMALL = {"mesh.contact_elements": 8, "time.steps": 3}
 LAW_THAT_WAITS = """
 import time

@@ -12,7 +12,7 @@ from typing import Any
 
 from ringwear_par.cases.schema import LAYER_LAWS, MOST_LAYERS, key_of, layer_entry
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.wear.law import parameters_of
 from ringwear_par.wear.laws import LAWS
@@ -92,10 +92,11 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
         i, entry = int(match[1]), match[2]
         if i >= len(changed):
             names = ", ".join(f"{path}[{j}]" for j in range(len(changed)))
-            raise InputError(
+            sentence = (
                 f"{path}[{i}].{legible(entry)} = {shortened(value)}: the case has no such layer; "
                 "must be of " + (names or f"one of {path}, of which it has none")
             )
+            raise InputError(Fault(sentence, f"{path}[{i}].{entry}", "unknown_key"))
         table, last = changed[i], entry
         if entry.startswith("wear."):
             last = entry.removeprefix("wear.")

@@ -203,7 +203,7 @@ def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
 
 
 KEYS: tuple[Key, ...] = (
-    Key("title", *text(), "-", "shown in plots and summaries", ""),
+    Key("title", *text(), "-", "shown in summaries and reports", ""),
     *_ring_keys("lower", "lower body, held at its bottom"),
     *_ring_keys("upper", "upper body, which turns"),
     Key(

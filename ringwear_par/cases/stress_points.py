@@ -7,7 +7,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case, Ring, Side
 from ringwear_par.elasticity.sections import BODIES, corners
-from ringwear_par.errors import InputError
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.files.text import shortened
 
 #: share of the bodies' size within which a point lies on a face or an edge
@@ -63,7 +63,10 @@ def check_stress(name: str, case: Case) -> None:
     """
     if case.stress is None:
         return
-    faults = [f"{name}: {fault}" for fault in _point_faults(case, case.stress.points)]
+    faults = [
+        Fault(f"{name}: {fault}", "stress.points", "conflict")
+        for fault in _point_faults(case, case.stress.points)
+    ]
     grid = case.stress.grid
     if grid is not None and not any(
         _overlaps(grid.r, ring.r) and _overlaps(grid.z, ring.z)
@@ -71,16 +74,18 @@ def check_stress(name: str, case: Case) -> None:
         if grid.body in ("both", body)
     ):
         bodies = "both bodies" if grid.body == "both" else grid.body
-        faults.append(
+        sentence = (
             f"{name}: stress.grid.r = {list(grid.r)}, stress.grid.z = {list(grid.z)}: lie outside "
             f"{bodies}; must have a part of it (mm)"
         )
+        faults.append(Fault(sentence, "stress.grid.r", "conflict"))
     most = min(max(ring.r[1] - ring.r[0], ring.z[1] - ring.z[0]) for ring in case.rings)
     if case.stress.exclude >= most:
-        faults.append(
+        sentence = (
             f"{name}: stress.exclude = {case.stress.exclude:g}: leaves nothing of a body; must be "
             f"less than {most:g} (mm)"
         )
+        faults.append(Fault(sentence, "stress.exclude", "conflict"))
     if faults:
         raise InputError(*faults)
 

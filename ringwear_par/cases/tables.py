@@ -13,7 +13,7 @@ from typing import Any
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError, texts, whole
 from ringwear_par.elasticity.sections import SHAPE_UNITS
-from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.errors import MOST_FAULTS, Code, Fault, legible
 from ringwear_par.files.text import shortened, toml_value
 
 #: most lines of a file that may be left out
@@ -149,20 +149,23 @@ def name_unknown_keys(
     allowed: Sequence[str],
     faults: list[str],
     fault: str = "unknown key",
+    table: str = "",
 ) -> None:
     """Add a fault for each name that is not known, with the nearest one that is.
 
     Parameters
     ----------
     place : how the sentences begin: file and table.
+    table : dotted, in which the names are.
     """
     for name in names:
         if name not in allowed:
             few = len(faults) < MOST_FAULTS  # no more are shown, and looking takes long
             near = difflib.get_close_matches(name.lower(), allowed, n=1) if few else []
             hint = f" (did you mean {near[0]}?)" if near else ""
+            sentence = f"{place}: {legible(name)}: {fault}{hint}; must be one of "
             faults.append(
-                f"{place}: {legible(name)}: {fault}{hint}; must be one of {', '.join(allowed)}"
+                Fault(sentence + ", ".join(allowed), f"{table}.{name}".lstrip("."), "unknown_key")
             )
 
 
@@ -183,8 +186,11 @@ class TableReader:
         self.place, self.faults, self._keys = place, faults, keys or {}
         self._table: Mapping[str, Any] = table if isinstance(table, Mapping) else {}
         self._read: list[str] = []
+        #: its dotted name in the schema
+        self.loc = next((k.path.removesuffix(f".{name}") for name, k in self._keys.items()), "")
         if not isinstance(table, Mapping):
-            faults.append(f"{place} = {shortened(table)}: must be a table")
+            sentence = f"{place} = {shortened(table)}: must be a table"
+            faults.append(Fault(sentence, self.loc, "not_allowed"))
 
     def __contains__(self, name: str) -> bool:
         return name in self._table
@@ -193,14 +199,17 @@ class TableReader:
         """Return the names in the table."""
         return self._table.keys()
 
-    def fault(self, sentence: str) -> None:
-        """Add a fault of the table."""
-        self.faults.append(f"{self.place}: {sentence}")
+    def fault(self, sentence: str, name: str = "", code: Code | None = None) -> None:
+        """Add a fault of the table, or of one of its keys; of a Fault, its code is kept."""
+        loc = f"{self.loc}.{name}".strip(".")
+        code = code or Fault(sentence).code
+        self.faults.append(Fault(f"{self.place}: {sentence}", loc, code))
 
-    def wrong(self, name: str, rule: str) -> None:
+    def wrong(self, name: str, rule: str, code: Code = "not_allowed") -> None:
         """Add a fault of a key: its value, or that it is missing, and the rule."""
         value = f"= {shortened(self._table[name])}" if name in self._table else "is missing"
-        self.fault(f"{name} {value}: {rule}")
+        code = code if name in self._table else "missing"
+        self.fault(f"{name} {value}: {rule}", name, code)
 
     def raw(self, name: str, default: Any = None) -> Any:
         """Return the raw value of a key."""
@@ -226,13 +235,13 @@ class TableReader:
             return key.value(value, unit)
         except RejectedError as reason:
             hint = f" ({reason})" if str(reason) else ""
-            self.wrong(name, f"must be {key.allowed}{hint}")
+            self.wrong(name, f"must be {key.allowed}{hint}", reason.code)
             return fallback
 
     def finish(self, fault: str = "unknown key") -> None:
         """Add a fault for each key that nobody has read."""
         allowed = list(dict.fromkeys(self._read))
-        name_unknown_keys(self.place, self._table, allowed, self.faults, fault)
+        name_unknown_keys(self.place, self._table, allowed, self.faults, fault, self.loc)
 
 
 def key_table(keys: Iterable[Key], words: str = "") -> str:

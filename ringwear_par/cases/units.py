@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.values import RejectedError, UnitError
 from ringwear_par.errors import legible
 
 #: longest text of a unit, in characters: more is no unit, and slow to look at
@@ -17,7 +17,8 @@ _LABEL = re.compile(r"[abBt]|[A-Za-ln-z]\d+", re.ASCII)
 #: read one way only, so that the time of long texts is linear in their length
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _PLAIN = re.compile(_NUMBER, re.ASCII)
-_WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", re.ASCII)
+#: the number whole: "1e-7/MPa" is not 1 of the unit e-7/MPa
+_WITH_UNIT = re.compile(rf"\s*((?>{_NUMBER}))\s*((?:[^\W\d_]|[%°µμ(]|1?\s*/).*)", re.ASCII)
 
 
 #: as figures and pages write them: lengths of 1e-6 m, and powers
@@ -118,7 +119,7 @@ def named_unit(name: str, base: str) -> str | None:
     ending, bracketed = _ending(name)
     if unit is None and (_is_unit(ending) or bracketed):
         unit_text = legible(ending)
-        raise RejectedError(
+        raise UnitError(
             f"is in {unit_text} by its name"
             if _is_unit(ending)
             else f"ends with [{unit_text}], no unit"
@@ -207,7 +208,8 @@ def number_and_unit(value: str) -> tuple[float, str]:
     match = _WITH_UNIT.fullmatch(value)
     if match is None:
         raise RejectedError
-    return float(match[1]), match[2].strip()
+    unit = match[2].strip()
+    return float(match[1]), f"1{unit}" if unit.startswith("/") else unit
 
 
 def number_in(value: str, base: str | None) -> float:
@@ -221,7 +223,7 @@ def number_in(value: str, base: str | None) -> float:
     try:
         return float(f"{number * factor(unit, base):.15g}")  # "0.1 mm" is 0.1
     except RejectedError as error:
-        raise RejectedError(f"{legible(unit)} is no unit{_instead(unit, base)}") from error
+        raise UnitError(f"{legible(unit)} is no unit{_instead(unit, base)}") from error
 
 
 def _instead(unit: str, base: str | None) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import SHAPE_UNITS, Shape
-from ringwear_par.errors import legible
+from ringwear_par.errors import Code, legible
 from ringwear_par.schedules import Quantity, Table
 
 #: a schedule is a number or a table in time, a quantity these or a profile along the radius
@@ -27,6 +27,14 @@ LEAST, MOST = 1e-60, 1e30
 
 class RejectedError(Exception):
     """A value that its key does not allow, perhaps with the reason."""
+
+    code: Code = "not_allowed"
+
+
+class UnitError(RejectedError):
+    """A unit that is that of something else, or none."""
+
+    code: Code = "unit"
 
 
 class Interval(NamedTuple):

@@ -33,7 +33,7 @@ import numpy as np
 import scipy
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files.writing import atomic_write, open_ordinary, remove_leftovers
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import blas_threads, on_first_rank
 from ringwear_par.version import __version__, numba_version
 
@@ -148,7 +148,7 @@ def _check_folder(where: Path) -> None:
 def _content(path: Path, most: int) -> bytes:
     """Return the first bytes of a file, which must be the user's own, as its folder must be."""
     _check_folder(path.parent)
-    with open_ordinary(path, os.O_RDONLY | os.O_NOFOLLOW) as file:
+    with path.open("rb") as file:
         _check_own(os.fstat(file.fileno()), path)
         with suppress(OSError):
             os.utime(file.fileno())  # it is in use
@@ -213,7 +213,6 @@ def _make_room(where: Path, written: int) -> None:
     if _unseen <= _UNSEEN * LIMIT:
         return
     _unseen = 0.0
-    remove_leftovers(where)
     pairs = sorted(_files(where))
     total = sum(bytes_ for _, bytes_, _ in pairs)
     for _, bytes_, path in pairs:

@@ -65,7 +65,7 @@ def explore(
         import bokeh.server  # noqa: F401
     except ImportError as error:
         raise InputError(
-            "explore: needs the Python package bokeh; pip install 'ringwear-par[explore]'"
+            "explore: needs the Python package bokeh; pip install 'ringwear-par[pages]'"
         ) from error
     for name in ("bokeh", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.ERROR)

@@ -24,12 +24,10 @@ PREDICTION, DRAWS, BAND = "prediction.json", "prediction.h5", "prediction.png"
 #: file of a running test: its last answer
 FOLLOW = "follow.json"
 
-
-#: by what commands leave in their folders; a fit and the design after it may share one
+#: commands by what they leave in their folders; a fit and the design after it may share one
 _COMMANDS = {
     FIT: "fit", DESIGN: "fit", PROGRESS: "fit", "cases.csv": "sweep", "shards": "sweep",
-    MEASURE: "measure", PREDICTION: "predict",
-    FOLLOW: "follow",
+    MEASURE: "measure", PREDICTION: "predict", FOLLOW: "follow",
 }  # fmt: skip
 
 
@@ -45,20 +43,12 @@ def refuse_others(folder: Path, command: str) -> None:
     InputError : its files would be replaced.
     """
     for name, owner in _COMMANDS.items():
-        if owner != command and _has_content(folder / name):
+        path = folder / name
+        there = any(path.iterdir()) if path.is_dir() else path.exists()
+        if owner != command and there:
             raise InputError(
                 f"{folder}: is the folder of ringwear {owner} ({name}); must be another, or new"
             )
-
-
-def _has_content(path: Path) -> bool:
-    """Tell whether a file is there, or a folder with files that are not empty.
-
-    A sweep that fails before its first case leaves empty ones.
-    """
-    if path.is_dir():
-        return any(file.stat().st_size for file in path.iterdir())
-    return path.exists()
 
 
 def check_folder(folder: Path, files: Sequence[str], command: str) -> None:
@@ -79,9 +69,7 @@ def check_folder(folder: Path, files: Sequence[str], command: str) -> None:
         for name in files:
             check_writable(folder / name)
     else:  # made with its parents; the first of them that is missing tells
-        missing = [folder, *folder.parents]
-        existing = next((i for i, path in enumerate(missing) if path.exists()), len(missing))
-        check_writable(missing[max(existing - 1, 0)])
+        check_writable([path for path in (folder, *folder.parents) if not path.exists()][-1])
 
 
 @contextmanager

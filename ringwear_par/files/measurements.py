@@ -13,7 +13,6 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import table_text
-from ringwear_par.files.writing import read_bytes
 
 #: most columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000
@@ -86,8 +85,8 @@ class Measurements:
         Parameters
         ----------
         hour : in the column's unit, which may have stamps then, that count from the first of the
-            table; or clock times: h:mm:ss, over midnight too, or min:s, or h:min where the unit is
-            the hour.
+            table; or clock times, over midnight too: h:mm:ss, or h:min where the unit is h, or
+            min:s where it is min.
 
         Raises
         ------
@@ -105,9 +104,14 @@ class Measurements:
                 elif "." in written and _GROUPED_BY_POINTS.fullmatch(written):
                     grouped.append((i, False))
             elif hour is not None and table_text.is_clock(written):
-                values[i] = table_text.clock_time(written, hour)
-                if table_text.has_hours(written):
-                    clocks.append(i)
+                try:
+                    values[i] = table_text.clock_time(written, hour)
+                except ValueError as error:
+                    raise InputError(
+                        f"{self.cell_place(name, i)}: may be h:min or min:s; must be h:mm:ss, or "
+                        "in a column whose unit says it: h of h:min, min of min:s"
+                    ) from error
+                clocks.append(i)
             elif hour is not None and table_text.is_stamp(written):
                 stamps.append(i)
             else:
@@ -280,7 +284,7 @@ def read_measurements(
     InputError : it cannot be read, or is no table.
     """
     try:
-        content = read_bytes(path)
+        content = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error

@@ -2,52 +2,36 @@
 
 import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.writing import atomic_write
 
-#: most rows of a sheet, that of names among them
-MOST_ROWS = 1_048_576
-#: longest text of a cell
-_LONGEST = 32_767
+#: most rows of a sheet below that of names, and longest text of a cell
+_MOST_ROWS, _LONGEST = 1_048_575, 32_767
+#: name, names of the columns, and rows
+Table = tuple[str, Sequence[str], Iterable[Sequence[Any]]]
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """A table."""
-
-    name: str
-    header: Sequence[str]
-    rows: Iterable[Sequence[Any]]
-    #: of the rows
-    count: int
-
-
-def write_csv(output: Path, sheet: Sheet, decimal: str = "point") -> None:
+def write_csv(output: Path, table: Table, decimal: str = "point") -> None:
     """Write a table by rename; numbers keep all their digits, there is nothing where one is NaN.
 
     Parameters
     ----------
     decimal : "point", or "comma", where semicolons are between the columns.
     """
-    comma = decimal == "comma"
-    with (
-        atomic_write(output) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file, delimiter=";" if comma else ",", lineterminator="\n")
-        writer.writerow(sheet.header)
-        for row in sheet.rows:
-            writer.writerow([_text(v, comma) if isinstance(v, float) else v for v in row])
-
-
-def _text(number: float, comma: bool) -> str:
-    text = "" if number != number else repr(number)
-    return text.replace(".", ",") if comma else text
+    delimiter, mark = (";", ",") if decimal == "comma" else (",", ".")
+    _, header, rows = table
+    with atomic_write(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
+        writer = csv.writer(f, delimiter=delimiter, lineterminator="\n")
+        writer.writerow(header)
+        for row in rows:
+            cells = ("" if value != value else value for value in row)
+            writer.writerow(
+                repr(v).replace(".", mark) if isinstance(v, float) else v for v in cells
+            )
 
 
 def check_xlsx(output: Path) -> None:
@@ -66,28 +50,24 @@ def check_xlsx(output: Path) -> None:
         ) from error
 
 
-def write_xlsx(output: Path, sheets: Sequence[Sheet]) -> str:
-    """Write tables as sheets by rename; return their names, and which are too long for one."""
+def write_xlsx(output: Path, tables: Sequence[Table]) -> str:
+    """Write tables as sheets by rename; return their names, and which were cut."""
     from openpyxl import Workbook
     from openpyxl.cell import WriteOnlyCell
 
-    written = [sheet for sheet in sheets if sheet.count < MOST_ROWS]
-    book = Workbook(write_only=True)
-    for sheet in written:
-        page = book.create_sheet(sheet.name)
+    book, names = Workbook(write_only=True), []
+    for name, header, rows in tables:
+        page, left = book.create_sheet(name), iter(rows)
         page.freeze_panes = "A2"
-
-        def cell(value: Any) -> Any:
-            if not isinstance(value, str):
-                return None if value != value else value
-            text = WriteOnlyCell(page, legible(value, _LONGEST))  # noqa: B023
-            text.data_type = "s"  # "=" begins no formula
-            return text
-
-        for row in chain([sheet.header], sheet.rows):
-            page.append([cell(value) for value in row])
+        for row in chain([header], islice(left, _MOST_ROWS)):
+            cells = [None if value != value else value for value in row]
+            for i, text in enumerate(cells):
+                if isinstance(text, str):
+                    cells[i] = cell = WriteOnlyCell(page, legible(text, _LONGEST))
+                    cell.data_type = "s"  # "=" begins no formula
+            page.append(cells)
+        cut = next(left, None) is not None
+        names.append(f"{name} (its first {_MOST_ROWS} rows)" if cut else name)
     with atomic_write(output) as temporary:
         book.save(temporary)
-    names = f"sheets {', '.join(sheet.name for sheet in written)}"
-    long = [f"{s.name} ({s.count} rows)" for s in sheets if s.count >= MOST_ROWS]
-    return f"{names}; without {', '.join(long)}: a sheet has {MOST_ROWS} rows" if long else names
+    return f"sheets {', '.join(names)}"

@@ -4,6 +4,7 @@ Its encoding, what is between its cells, its first line.
 """
 
 import csv
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,7 +61,7 @@ def ambiguous_date(cells: Sequence[str]) -> str:
 
 
 def is_clock(cell: str) -> bool:
-    """Tell whether a cell is a clock time, h:mm:ss or min:s."""
+    """Tell whether a cell is a clock time, h:mm:ss, or h:min or min:s."""
     return _CLOCK.fullmatch(cell) is not None
 
 
@@ -73,15 +74,21 @@ def has_hours(cell: str) -> bool:
 def clock_time(cell: str, hour: float) -> float:
     """Return a clock time in the unit of which an hour is ``hour``.
 
-    Two parts are minutes and seconds, or hours and minutes where the unit is the hour.
+    Of two parts the first is in this unit: h:min or min:s.
+
+    Raises
+    ------
+    ValueError : it is none, or of two parts in another unit.
     """
     clock = _CLOCK.fullmatch(cell)
     if clock is None:
         raise ValueError(f"{cell} is no clock time")
     hours, minutes = float(clock[1] or 0), float(clock[2])
     seconds = float(clock[3].replace(",", "."))
-    if clock[1] is None and hour == 1.0:
+    if clock[1] is None and math.isclose(hour, 1.0):
         hours, minutes, seconds = minutes, seconds, 0.0
+    elif clock[1] is None and not math.isclose(hour, 60.0):
+        raise ValueError(f"{cell} may be h:min or min:s")
     return hour * (hours + minutes / 60.0 + seconds / 3600.0)
 
 

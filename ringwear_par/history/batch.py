@@ -8,7 +8,6 @@ import numpy as np
 
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.unit_suspicions import unit_question
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.errors import (
     ComputationError,
@@ -249,13 +248,12 @@ class Batch:
         present = self._present
         if present is None or not isinstance(error, ComputationError):
             return error
-        case, state = self._ensemble.cases[int(self.numbers[0])], present.state
+        state = present.state
         why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
         if isinstance(error, InterfaceError):
             why += f": {next_to_cross(present.physics, state)}"
         named = type(error)(
             f"{why}; in step {int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
-            f"{unit_question(case, state.wear[:, 0])}"
         )
         named.__cause__ = error
         return named

@@ -20,7 +20,7 @@ from ringwear_par.history.state import State
 
 
 class MovingGeometry:
-    """The elasticity of a case whose elements follow the wear, with its matrices' constant parts.
+    """The elasticity of a case whose elements follow the wear.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
 """The folder of a fit: its outcome, its readings and its figures, each there once it is whole."""
 
+import json
 import logging
 import re
 from collections.abc import Callable
@@ -22,7 +23,7 @@ from ringwear_par.files.folders import (
     new_files,
     write_contents,
 )
-from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.fit_result import FitResult
@@ -49,7 +50,7 @@ def refuse_interrupted(folder: Path) -> None:
 def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
     """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
     try:
-        stored = parse_json(read_text(folder / FIT))
+        stored = json.loads(read_text(folder / FIT))
         laws = problem.alternatives.keys() if compare else set()
         return bool(stored["key"] == problem.key and laws <= stored["alternatives"].keys())
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
@@ -62,7 +63,7 @@ def save(fit: FitResult, folder: Path) -> None:
     A picture that cannot be drawn is left out, with a warning.
     """
     with new_files(folder, FILES, "fit"):
-        with atomic_hdf5(folder / READINGS) as (file, _):
+        with atomic_hdf5(folder / READINGS) as file:
             _write(file, fit)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
         if not fit.misfit.problem.scatters:

@@ -1,5 +1,6 @@
 """What is known of a specimen before its test: from the fit of other tests."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from mpi4py import MPI
 
 from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.files.folders import FIT
-from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.text import read_text
 from ringwear_par.history.derivatives.keys import is_elastic
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.fit import fit_problem
@@ -168,5 +169,5 @@ def _tests_of(folder: Path) -> set[str]:
     """Return the names of the tests of a fit's folder."""
     if not (folder / FIT).is_file():  # told by who reads the fit
         return set()
-    content = parse_json(read_text(folder / FIT))
+    content = json.loads(read_text(folder / FIT))
     return set(content.get("experiments", {})) if isinstance(content, dict) else set()

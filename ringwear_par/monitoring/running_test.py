@@ -13,7 +13,6 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in
 from ringwear_par.files.table_text import decode
 from ringwear_par.files.text import parse_toml, read_text
-from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
@@ -45,7 +44,7 @@ class GrowingFiles(FileStore):
 
 def _whole_lines(path: Path, skip: int) -> Measurements:
     try:
-        content = read_bytes(path)
+        content = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
@@ -166,7 +165,7 @@ def _with_series(problem: Problem, series: tuple[Series, ...]) -> Problem:
 def _has_readings(path: Path) -> bool:
     """Tell whether a file has a line of names and a whole line below it."""
     try:
-        return read_bytes(path).count(b"\n") > 1
+        return path.read_bytes().count(b"\n") > 1
     except (OSError, ValueError):
         return False
 

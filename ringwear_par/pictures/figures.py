@@ -2,7 +2,6 @@
 
 import logging
 import re
-import textwrap
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.pictures.matplotlib import LETTERS_OF_INCH, add_letters, draw, draw_labels
+from ringwear_par.pictures.matplotlib import add_letters, draw, draw_labels
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
 from ringwear_par.pictures.style import (
@@ -124,12 +123,8 @@ def plot(
                 rows = _at_times(result, times) if times else _rows(result, steps)
             profiled.append(Item(result, label, rows, bool(steps or times)))
         items.append(Item(result, label, rows, bool(steps or times)))
-    figure = _laid_out(_drawings(names, items, profiled), width)
-    titles = {str(result.attributes["title"]) for result in read} - {""}
-    if len(titles) == 1:
-        letters = int(LETTERS_OF_INCH * figure.get_figwidth())
-        figure.suptitle(textwrap.fill(plain(titles.pop()), letters), fontsize=8.0)
-    return figure
+    # without the cases' title, which tells of the file and not of what --set has made of it
+    return _laid_out(_drawings(names, items, profiled), width)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from ringwear_par.pictures.style import (
 #: columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
 #: letters of an inch of a legend above many panels
-LETTERS_OF_INCH = 15.0
+_LETTERS_OF_INCH = 15.0
 #: factors from lines of a figure to those on a page, and for sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
@@ -201,7 +201,7 @@ def add_shared_legend(chart: Any, entries: Mapping[str, Any], title: str = "") -
     """
     if entries:
         widest = max(map(len, entries)) + _GLYPH
-        letters = LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
+        letters = _LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
         legend = chart.legend(
             entries.values(), entries.keys(), loc="outside upper center", frameon=False,
             ncols=max(1, min(len(entries), int(letters / widest))), title=title,

@@ -53,7 +53,7 @@ def save(prediction: Prediction, folder: Path) -> None:
     InputError, ComputationError : the folder or the disk.
     """
     with new_files(folder, FILES, "predict"):
-        with atomic_hdf5(folder / DRAWS) as (file, _):
+        with atomic_hdf5(folder / DRAWS) as file:
             file.attrs.update(prediction.attributes)
             for variable, values in prediction.variables():
                 write_variable(file, variable, values)

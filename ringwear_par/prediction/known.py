@@ -1,5 +1,6 @@
 """What predictions take from a fit or its folder, what they refuse, what they doubt."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.values import is_finite
 from ringwear_par.errors import InputError, ValidityWarning, counted, legible
 from ringwear_par.files.folders import DESIGN, FIT, PROGRESS, READINGS
-from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.text import read_text
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.estimation.intervals import Verdict
 from ringwear_par.identification.fit_result import FitResult
@@ -89,7 +90,7 @@ def fit_knowledge(fit: FitResult | Path | str) -> FitKnowledge:
             str(group.attrs["law"]): read_values(group) for group in file.get(LAWS, {}).values()
         }
     try:
-        return _knowledge(str(folder), parse_json(read_text(folder / FIT)), values, laws)
+        return _knowledge(str(folder), json.loads(read_text(folder / FIT)), values, laws)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{folder / FIT}: is not the outcome of a fit, or is damaged") from error
 

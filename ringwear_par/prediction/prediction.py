@@ -203,7 +203,7 @@ class Prediction(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        return to_dataset(self.variables(), self.attributes, ["time"], "prediction")
+        return to_dataset(self.variables(), self.attributes, ["time"])
 
     @property
     def attributes(self) -> dict[str, Any]:

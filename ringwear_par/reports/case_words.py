@@ -17,10 +17,20 @@ from ringwear_par.schedules import quantity_text
 _COEFFICIENT = re.compile(r"(\d\S*) 1/MPa")
 
 
-def _with_rate(coefficient: re.Match[str]) -> str:
-    """Return a wear coefficient, and the same in the unit of specific wear rates."""
-    rate = float(coefficient[1]) / factor(SPECIFIC, "1/MPa")
-    return f"{coefficient[0]} ({rate:g} {in_signs(SPECIFIC)})"
+def _with_rates(laws: str, friction: float) -> str:
+    """Return laws, of layers one by one, with the specific wear rates that their k are."""
+    return ", then ".join(_with_rate(law, friction) for law in laws.split(", then "))
+
+
+def _with_rate(law: str, friction: float) -> str:
+    of_energy = " mu " in law
+    words = "per friction energy; times mu a specific wear rate of " if of_energy else ""
+    unit = (friction if of_energy else 1.0) / factor(SPECIFIC, "1/MPa")
+
+    def rate(k: re.Match[str]) -> str:
+        return f"{k[0]} ({words}{unit * float(k[1]):g} {in_signs(SPECIFIC)})"
+
+    return _COEFFICIENT.sub(rate, law)
 
 
 def case_words(result: Result) -> tuple[list[Block], list[Block]]:
@@ -33,7 +43,7 @@ def case_words(result: Result) -> tuple[list[Block], list[Block]]:
     blocks: list[Block] = []
     laws = {body: about.get(f"law_{body}") for body in ("lower", "upper")}
     wear = [
-        (f"wear of {body}", _COEFFICIENT.sub(_with_rate, law) or "none")
+        (f"wear of {body}", _with_rates(law, about["friction"]) or "none")
         for body, law in laws.items()
         if law is not None
     ]

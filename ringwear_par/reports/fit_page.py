@@ -1,5 +1,6 @@
 """The page of a fit, and of the design of the next tests, from what their folders hold."""
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,13 +13,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, in_signs, with_signs
 from ringwear_par.errors import InputError, counted, legible
 from ringwear_par.files import folders
-from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.identification import summary
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import time_words
-from ringwear_par.results.storage.hdf5 import read_text, reading
+from ringwear_par.results.storage.hdf5 import reading
 from ringwear_par.results.variables import SOFTWARE
 
 _DASH = "\N{EN DASH}"
@@ -50,7 +50,7 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
     """Yield the content of a JSON file; an error while it is used means that it is damaged."""
     fault, text = f"{path}: is not {kind}, or is damaged", read_file(path)
     try:
-        content = parse_json(text)
+        content = json.loads(text)
     except ValueError as error:
         raise InputError(fault) from error
     if not isinstance(content, dict):
@@ -190,11 +190,11 @@ def stored_readings(
         posterior = file.get("posterior", {})
         samples = {key: posterior[key][()] for key in posterior if key != "sample"}
         inputs = [_input_chart(number, group) for number, group in file.get("inputs", {}).items()]
-        return series, samples, read_text(file.attrs["fit"]), inputs
+        return series, samples, file.attrs["fit"], inputs
 
 
 def _input_chart(number: str, group: h5py.Group) -> page.Chart:
-    name, key, unit = (read_text(group.attrs[n]) for n in ("experiment", "key", "unit"))
+    name, key, unit = (group.attrs[n] for n in ("experiment", "key", "unit"))
     panel = fit_panels.measured_input(
         name, key, unit, *(group[n][()] for n in ("time", "data", "curve"))
     )
@@ -204,9 +204,9 @@ def _input_chart(number: str, group: h5py.Group) -> page.Chart:
 def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
     """Return a stored series in the unit of its readings."""
     experiment, name, quantity, unit = (
-        read_text(group.attrs[n]) for n in ("experiment", "series", "quantity", "data_unit")
+        group.attrs[n] for n in ("experiment", "series", "quantity", "data_unit")
     )
-    scale = 1.0 / factor(unit, read_text(group["data"].attrs["units"]))
+    scale = 1.0 / factor(unit, group["data"].attrs["units"])
     data, model, sd, band = (scale * group[n][()] for n in ("data", "model", "sd", "band"))
     x, residuals = group["r" if "r" in group else "time"][()], group["residual"][()]
     edges = tuple(group.attrs["contact"].tolist())

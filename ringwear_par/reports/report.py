@@ -97,7 +97,7 @@ def check_page(output: Path) -> None:
     except ImportError as error:
         raise InputError(
             f"{output}: needs the Python packages bokeh and jinja2; "
-            "pip install 'ringwear-par[report]'"
+            "pip install 'ringwear-par[pages]'"
         ) from error
 
 

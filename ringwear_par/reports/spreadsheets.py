@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import FIT, MEASURE, READINGS
-from ringwear_par.files.spreadsheets import Sheet, write_csv, write_xlsx
+from ringwear_par.files.spreadsheets import Table, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
 from ringwear_par.identification.summary import key_rows
 from ringwear_par.measuring.measure_numbers import table_of
@@ -52,10 +52,10 @@ def export(run: Path, output: Path, decimal: str = "point", **choices: Any) -> s
     if output.suffix == ".xlsx":
         return f"{output}: {write_xlsx(output, sheets)}"
     write_csv(output, sheets[0], decimal)
-    return f"{output}: {sheets[0].name}"
+    return f"{output}: {sheets[0][0]}"
 
 
-def _sheets(folder: Path) -> list[Sheet]:
+def _sheets(folder: Path) -> list[Table]:
     """Return the tables of a folder, the one for a .csv first."""
     if (folder / FIT).exists():
         return fit_sheets(folder)
@@ -64,14 +64,14 @@ def _sheets(folder: Path) -> list[Sheet]:
     if (folder / MEASURE).exists():
         with stored_outcome(folder / MEASURE, "the outcome of ringwear measure") as outcome:
             header, rows = table_of(outcome)
-        return [Sheet("tests", header, rows, len(rows))]
+        return [("tests", header, rows)]
     raise InputError(
         f"{folder}: holds none of {FIT}, {RESULTS} and {MEASURE}; must be a result file, or a "
         "folder that ringwear sweep (without --slice), fit or measure has completed"
     )
 
 
-def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
+def sweep_sheets(ensemble: Ensemble) -> list[Table]:
     """Return the cases of a sweep, the meanings of their columns, and all histories."""
     columns: dict[str, tuple[str, str, Any]] = {"case": ("", "id of the case", ensemble.ids)}
     for name, values in ensemble.varied.items():
@@ -97,14 +97,12 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
         *(v.tolist() if isinstance(v, np.ndarray) else v for _, _, v in columns.values()),
         strict=True,
     )
-    count = len(ensemble.ids)
     meanings = [(name, unit, meaning) for name, (unit, meaning, _) in columns.items()]
-    states = int(ensemble.steps_stored.sum())
     histories = ("case", "state", *map(titled, HISTORIES.values()))
     return [
-        Sheet("cases", header, rows, count),
-        Sheet("columns", ("column", "unit", "meaning"), meanings, len(meanings)),
-        Sheet("histories", histories, _states(ensemble), states),
+        ("cases", header, rows),
+        ("columns", ("column", "unit", "meaning"), meanings),
+        ("histories", histories, _states(ensemble)),
     ]
 
 
@@ -117,7 +115,7 @@ def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
             yield (identity, state, *(float(table[case, state]) for table in tables))
 
 
-def fit_sheets(folder: Path) -> list[Sheet]:
+def fit_sheets(folder: Path) -> list[Table]:
     """Return the tests of a fit's folder with their numbers, the fitted keys, all readings.
 
     Raises
@@ -145,7 +143,7 @@ def fit_sheets(folder: Path) -> list[Sheet]:
                "residual over noise", "unit")  # fmt: skip
     of_tests = ("test", *(f"{name} of the model ({unit})" for name, unit in names.items()))
     return [
-        Sheet("tests", of_tests, numbers, len(numbers)),
-        Sheet("parameters", header, rows, len(rows)),
-        Sheet("readings", columns, readings, len(readings)),
+        ("tests", of_tests, numbers),
+        ("parameters", header, rows),
+        ("readings", columns, readings),
     ]  # fmt: skip

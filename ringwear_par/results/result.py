@@ -242,12 +242,7 @@ class Result(Outcome):
         return str(self.apply("summary", verbose))
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the dataset that xarray makes of the result's file.
-
-        Raises
-        ------
-        InputError : xarray is not installed.
-        """
+        """Return the dataset that xarray makes of the result's file."""
         dataset: xarray.Dataset = self.apply("to_xarray")
         return dataset
 

@@ -13,7 +13,6 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import SIDES
-from ringwear_par.errors import InputError
 
 if TYPE_CHECKING:
     import xarray
@@ -79,25 +78,15 @@ def to_dataset(
     variables: Sequence[tuple[Variable, Any]],
     attributes: Mapping[str, Any],
     coordinates: Sequence[str],
-    name: str,
 ) -> "xarray.Dataset":
     """Return variables with their values as xarray has them.
 
     Parameters
     ----------
     coordinates : names of those that are no dimensions.
-    name : what messages call the outcome.
-
-    Raises
-    ------
-    InputError : xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise InputError(
-            f"{name}: to_xarray needs the Python package xarray; pip install 'ringwear-par[xarray]'"
-        ) from error
+    import xarray
+
     dataset = xarray.Dataset(
         {v.name: (v.dimensions, values, v.attributes) for v, values in variables},
         attrs={"software": SOFTWARE, **attributes},

@@ -9,17 +9,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.plausible import implausible_numbers, wear_question
 from ringwear_par.cases.schema import SCHEMES
-from ringwear_par.cases.unit_suspicions import (
-    MOST_PRESSED,
-    Forecast,
-    are_plausible,
-    deep_forecasts,
-    deep_wear,
-    smallest_modulus,
-    too_much_load,
-    unit_suspicions,
-)
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState, mises
 from ringwear_par.errors import ValidityWarning
@@ -43,6 +34,8 @@ _TOGETHER = 64
 _ON_FEW = tuple(map(force_measure, range(1, FEW_ELEMENTS)))
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
+#: largest mean pressure, in Young's moduli, of linear elasticity
+_MOST_PRESSED = 0.1
 #: largest approach or wear, in heights of a body, that small displacements describe
 _MOST_MOVED = 0.05
 #: largest gap between the unloaded faces, in heights of a body, that is likely meant
@@ -110,17 +103,16 @@ class Warnings:
         of_first = tuple(_of_cases(first))
         alike = np.array([case.rings == first.rings for case in self._cases])
         unsuspicious = self._unsuspicious(alike)
-        forecasts = deep_forecasts([self._cases[number] for number in good])
-        plausible = alike & are_plausible([self._cases[i] for i in np.flatnonzero(alike).tolist()])
-        for number, of_case in zip(good, forecasts, strict=True):
-            if unsuspicious[number] and plausible[number] and not of_case:
-                long_steps = self._long_steps.get(number)
-                few = () if long_steps is None else (long_steps,)
-                case = self._cases[number]
-                steady = isinstance(case.load.force, float) and isinstance(first.load.force, float)
-                warnings[number] = (*few, *(of_first if steady else _of_cases(case)))
-            else:
-                warnings[number] = self._of(number, of_case)
+        for number in good:
+            case = self._cases[number]
+            if not unsuspicious[number]:
+                warnings[number] = self._of(number)
+                continue
+            long_steps = self._long_steps.get(number)
+            few = () if long_steps is None else (long_steps,)
+            steady = isinstance(case.load.force, float) and isinstance(first.load.force, float)
+            of_case = of_first if steady else tuple(_of_cases(case))
+            warnings[number] = (*few, *implausible_numbers(case), *of_case)
         return warnings
 
     def _unsuspicious(self, alike: BoolArray) -> BoolArray:
@@ -131,7 +123,7 @@ class Warnings:
         unsuspicious = np.zeros(len(alike), dtype=bool)
         if self._stresses.places(0) is not None:
             return unsuspicious
-        # the load of one would excuse what others are to be warned of
+        # the displacement of one would excuse what others are to be warned of
         first = self._cases[0]
         case = replace(first, load=replace(first.load, force=0.0, displacement=None))
         shallow = np.flatnonzero(alike & ~_is_deep(case, self._states.moved))
@@ -142,11 +134,11 @@ class Warnings:
                 unsuspicious[numbers] = known and not any(_of_states(case, worst))
         return unsuspicious
 
-    def _of(self, number: int, forecasts: Sequence[Forecast]) -> tuple[ValidityWarning, ...]:
+    def _of(self, number: int) -> tuple[ValidityWarning, ...]:
         case, places = self._cases[number], self._stresses.places(number)
         warnings = [self._long_steps[number]] if number in self._long_steps else []
         worst = self.worst(np.array([number]))
-        warnings += validity_warnings(case, worst, forecasts)
+        warnings += validity_warnings(case, worst)
         if places is not None:
             for check in OF_STRESSES:
                 warnings += check(case, self._stresses, number)
@@ -154,18 +146,15 @@ class Warnings:
 
 
 def validity_warnings(
-    case: Case, worst: Mapping[str, Sequence[float]], forecasts: Sequence[Forecast] | None = None
+    case: Case, worst: Mapping[str, Sequence[float]]
 ) -> tuple[ValidityWarning, ...]:
     """Return warnings about states of a case that the method is not made for. Not collective.
 
     Parameters
     ----------
     worst : the worst of its history, see ``Warnings.worst``.
-    forecasts : its ``deep_forecasts``, where they are known.
     """
-    return (
-        *_deep_wear(case, worst, forecasts), *_of_cases(case), *_of_states(case, worst),
-    )  # fmt: skip
+    return (*implausible_numbers(case), *_of_cases(case), *_of_states(case, worst))
 
 
 def _of_cases(case: Case) -> Iterator[ValidityWarning]:
@@ -196,25 +185,16 @@ def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
     )
 
 
-def _deep_wear(
-    case: Case, worst: Mapping[str, Sequence[float]], forecasts: Sequence[Forecast] | None
-) -> Iterator[ValidityWarning]:
-    """Yield suspicious units, and whether wear or approach were too large for small displacements.
-
-    One warning for one thing: wear that much was forecast for is there.
-    """
-    if not _is_deep(case, worst["moved"][0]):
-        yield from unit_suspicions(case, forecasts)
-        return
+def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield whether wear or approach were too large for small displacements."""
     moved, time, *_ = worst["moved"]
-    forecast = deep_wear(case, forecasts)
-    yield from (warning for warning in unit_suspicions(case, forecasts) if warning not in forecast)
-    yield ValidityWarning(
-        "large_displacement",
-        f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
-        "height: small displacements and the mesh of the unworn bodies no longer hold"
-        + "".join(f". {warning.text}" for warning in forecast),
-    )
+    if _is_deep(case, moved):
+        yield ValidityWarning(
+            "large_displacement",
+            f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
+            "height: small displacements and the mesh of the unworn bodies no longer hold"
+            f"{wear_question(case)}",
+        )
 
 
 def _is_deep(case: Case, moved: Any) -> Any:
@@ -295,8 +275,8 @@ def _coarse_mesh(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[V
 def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
     """Yield whether a pressure was too high for linear elasticity."""
     pressure, time, *_ = worst["mean_pressure"]
-    young = smallest_modulus(case)
-    if pressure > MOST_PRESSED * young and not too_much_load(case):
+    young = min(material.young for material in case.materials.values())
+    if pressure > _MOST_PRESSED * young:
         yield ValidityWarning(
             "high_pressure",
             f"the mean pressure in contact, {pressure:.3g} MPa at t = {time:g} s, is more than a "
@@ -477,7 +457,7 @@ OF_CASES: tuple[Callable[[Case], Iterable[ValidityWarning]], ...] = (_apart, _mi
 OF_STATES: tuple[
     Callable[[Case, Mapping[str, Sequence[float]]], Iterable[ValidityWarning]], ...
 ] = (
-    _contact_beyond_mesh, _high_pressure, _few_elements, _coarse_mesh, _other_stack,
+    _deep_wear, _contact_beyond_mesh, _high_pressure, _few_elements, _coarse_mesh, _other_stack,
     _unlike_slopes, _asymmetric,
 )  # fmt: skip
 #: about the stresses of a history, of which the observer has this number

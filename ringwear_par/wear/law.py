@@ -28,6 +28,7 @@ from typing import (
 import numpy as np
 
 from ringwear_par.arrays import COMPLEX_STEP, FloatArray, IntArray, derivative
+from ringwear_par.errors import Fault
 from ringwear_par.schedules import (
     Quantity,
     Stacked,
@@ -346,7 +347,7 @@ class Law:
         return bounds or any(checks & vars(k).keys() for k in cls.__mro__ if k is not Law)
 
     @classmethod
-    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
+    def faults(cls, table: str, values: Mapping[str, Any]) -> list[Fault]:
         """Return the faults of parameters that are right one by one, but not together.
 
         Parameters
@@ -358,10 +359,11 @@ class Law:
         for name, parameter in parameters_of(cls).items():
             quantity, least = values.get(name), values.get(parameter.at_least)
             if quantity is not None and least is not None and smallest(quantity) < largest(least):
-                faults.append(
+                sentence = (
                     f"{table}{name} = {quantity_text(quantity)}: must be at least "
                     f"{table}{parameter.at_least} = {quantity_text(least)}"
                 )
+                faults.append(Fault(sentence, f"{table}{name}", "conflict"))
         return faults
 
 

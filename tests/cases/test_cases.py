@@ -12,15 +12,6 @@ from ringwear_par.wear.laws import LAWS
 #: the others in that folder are studies
 RUNS = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))
 
-#: of some ranks several kinds: elements that follow, layers, fields, a law in a file
-ON_RANKS = ("cycles", "fields", "updated", "user_law", "wear_through")
-PARAMETERS = [
-    pytest.param(
-        path, id=path.stem, marks=() if path.stem in ON_RANKS else pytest.mark.serial
-    )
-    for path in RUNS
-]  # fmt: skip
-
 
 def test_every_law_scheme_and_shape_has_a_case():
     texts = [tomllib.loads(path.read_text()) for path in RUNS]
@@ -33,18 +24,17 @@ def test_every_law_scheme_and_shape_has_a_case():
     assert any(isinstance(t["load"]["omega"], list) for t in texts)
 
 
-@pytest.mark.parametrize("path", PARAMETERS)
-def test_a_case_runs_and_keeps_its_balances(path, shared_path, comm):
-    output = shared_path / "run.h5"
+@pytest.mark.parametrize("path", RUNS, ids=lambda path: path.stem)
+def test_a_case_runs_and_keeps_its_balances(path, tmp_path, comm):
+    output = tmp_path / "run.h5"
     run_case(path, output, ["mesh.contact_elements=24"], comm=comm)
-    if comm.rank == 0:
-        with h5py.File(output) as file:
-            force, torque, reaction, volume, energy, kkt = (
-                file.attrs[f"balance_{name}"]
-                for name in ("force", "torque", "reaction", "volume", "energy", "residual")
-            )
-            assert file.attrs["status"] == "complete"
-            assert file["worn_volume_lower"][-1] + file["worn_volume_upper"][-1] > 0
-        assert max(force, volume, energy) <= 1e-10
-        assert kkt <= 1e-9
-        assert max(torque, reaction) <= 0.02  # of the boundary elements, on so few of them
+    with h5py.File(output) as file:
+        force, torque, reaction, volume, energy, kkt = (
+            file.attrs[f"balance_{name}"]
+            for name in ("force", "torque", "reaction", "volume", "energy", "residual")
+        )
+        assert file.attrs["status"] == "complete"
+        assert file["worn_volume_lower"][-1] + file["worn_volume_upper"][-1] > 0
+    assert max(force, volume, energy) <= 1e-10
+    assert kkt <= 1e-9
+    assert max(torque, reaction) <= 0.02  # of the boundary elements, on so few of them

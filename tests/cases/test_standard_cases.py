@@ -8,8 +8,6 @@ from paths import ROOT
 import ringwear_par as rw
 from ringwear_par.cli import main
 
-pytestmark = pytest.mark.serial
-
 PSI_FEET_PER_MINUTE = 6894.757e-6 * 5.08  # MPa mm/s
 #: area mm^2, p V MPa mm/s, specific wear rate mm^3/(N mm)
 NUMBERS = {

@@ -13,8 +13,6 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 N = 40
 FORCE = 45000.0
 

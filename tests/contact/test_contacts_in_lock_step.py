@@ -1,14 +1,12 @@
-"""Many contact problems in lock step: derivatives, optimality, digits that are each one's own."""
+"""Many contact problems in lock step: optimality, and the inverses behind it."""
 
 import numpy as np
 import pytest
 from one_contact import OneContact
 
-from ringwear_par.compiled.product_rows import Matrices
-from ringwear_par.contact import hessians, newton
+from ringwear_par.contact import hessians
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import KKT_TOLERANCE
-from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.errors import HistoriesError
 from ringwear_par.wear.increment import WearIncrement
@@ -17,8 +15,6 @@ from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.local_state import LocalState
-
-pytestmark = pytest.mark.serial
 
 N, B = 19, 11
 R = np.linspace(28.5, 31.5, N)
@@ -61,46 +57,19 @@ def solver():
         yield engine
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
-    """Products with a direction against differences of gradients."""
-    solver.solve(GAP, force=FORCE, wear=wear_of(name))
-    problem, blocks = solver._problem, solver._hessians
-    problem.at_work = np.arange(B)
-    q = RNG.uniform(0.5, 2.0, (B, N)) * solver.warm.scaled_pressure.max()
-    direction, h = RNG.normal(size=(B, N)), 1e-5 * q.min()
-
-    def gradient(unknowns):
-        problem.unknowns[:] = unknowns
-        problem.evaluate()
-        return problem.gradients.copy()
-
-    gradient(q)
-    blocks.set_slopes(problem.at_work, *problem.slopes())
-    products = np.array([blocks.matrix(i) @ d for i, d in enumerate(direction)])
-    after, before = (gradient(q + sign * h * direction) for sign in (1.0, -1.0))
-    found = (after - before) / (2.0 * h)
-    assert found == pytest.approx(products, rel=1e-4, abs=1e-4 * np.abs(found).max())
-
-
 def load_of(control):
     return {control: {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control]}
 
 
 @pytest.mark.parametrize("name", [None, *LAWS])
 @pytest.mark.parametrize("control", ["force", "approach"])
-@pytest.mark.parametrize("way", ["bases", "factors", "damped", *TAO_TYPES[1:]])
-def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, way):
+@pytest.mark.parametrize("way", ["ours", *TAO_TYPES[1:]])
+def test_every_history_meets_its_conditions(comm, name, control, way):
     """Pressures >= 0, gaps >= 0, one of them 0, the load; and as it is found alone."""
-    if way == "factors":
-        monkeypatch.setattr(hessians, "LARGEST_WITH_BASES", 0)
-    if way == "damped":
-        monkeypatch.setattr(newton, "PLAIN_ITERATIONS", 0)
-    ours = way not in TAO_TYPES
+    ours = way == "ours"
     wear, load = None if name is None else wear_of(name), load_of(control)
     with engine_of(WHICH, None if ours else way) as engine:
         found = engine.solve(GAP, **load, wear=wear)
-    monkeypatch.undo()
     touched = 0
     for i in range(B):
         own = None if wear is None else wear.take(np.array([i]))
@@ -122,53 +91,6 @@ def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, wa
         assert found.approach[i] == pytest.approx(exact.approach, rel=error)
     assert touched > 2  # some are in partial contact
     assert found.residual.max() <= KKT_TOLERANCE
-
-
-@pytest.mark.parametrize("control", ["force", "approach"])
-@pytest.mark.parametrize("way", ["damped", *TAO_TYPES[1:]])
-def test_what_follows_a_solution_does_not_depend_on_the_way_to_it(
-    monkeypatch, solver, control, way
-):
-    """Its response to gaps, and the solution of the next problem."""
-    wear, change = wear_of("threshold"), RNG.uniform(0.0, 1e-5, (B, N))
-    exact = solver.solve(GAP, **load_of(control), wear=wear), solver.derivatives.response(change)
-    if way == "damped":
-        monkeypatch.setattr(newton, "PLAIN_ITERATIONS", 0)
-    with engine_of(WHICH, way if way in TAO_TYPES else None) as engine:
-        found = (
-            engine.solve(GAP, **load_of(control), wear=wear),
-            engine.derivatives.response(change),
-        )
-        monkeypatch.undo()
-        again = engine.solve(GAP, **load_of(control), wear=wear)
-    size = exact[0].pressure.max(axis=1, keepdims=True)
-    for state in (found[0], again):
-        assert (np.abs(state.pressure - exact[0].pressure) <= 1e-9 * size).all()
-    assert found[1] == pytest.approx(exact[1], rel=1e-9, abs=1e-9 * np.abs(exact[1]).max())
-
-
-@pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("control", ["force", "approach"])
-def test_digits_do_not_depend_on_the_company(solver, name, control):
-    """Nor does the response: among others, alone, in another order, with some left out."""
-    given, wear = load_of(control)[control], wear_of(name)
-    change = RNG.uniform(0.0, 1e-5, (B, N))
-    every = solver.solve(GAP, **{control: given}, wear=wear)
-    response = solver.derivatives.response(change)
-    for part in (np.array([3]), np.array([10, 0, 5]), np.arange(B)[::-1]):
-        taken = engine_of(WHICH[part])
-        own = taken.solve(GAP[part], **{control: given[part]}, wear=wear.take(part))
-        for what, value in vars(own).items():
-            assert np.array_equal(value, getattr(every, what)[part]), what
-        assert np.array_equal(taken.derivatives.response(change[part]), response[part])
-        taken.destroy()
-    some = np.array([1, 4, 9])
-    again = solver.take(np.arange(B))
-    solver.solve(2.0 * GAP, **{control: given}, wear=wear, histories=some)
-    left = np.setdiff1d(np.arange(B), some)
-    assert np.array_equal(solver.warm.scaled_pressure[left], again.warm.scaled_pressure[left])
-    assert np.array_equal(solver.derivatives.response(change)[left], response[left])
-    again.destroy()
 
 
 def test_no_force_is_no_pressure(solver):
@@ -234,41 +156,18 @@ def test_inverses_are_those_of_each_system(n, kind):
         assert weights[i] @ steps[place] == pytest.approx(missing[place], abs=1e-10)
 
 
-def test_bases_that_no_history_has_any_more_are_forgotten():
-    """A history whose contact grows has many sets, one after another."""
-    made, matrices, _ = hessians_of(12, 3)
-    right = RNG.normal(size=(3, 12))
-    for _ in range(40):
-        free = RNG.uniform(size=(3, 12)) < 0.7
-        free[:, 0] = True
-        made.refresh(np.arange(3), free)
-        out = made.solve(np.arange(3), right)
-        for i in range(3):
-            on = np.flatnonzero(free[i])
-            block = matrices[i % 2] + np.diag(made.blocks.slopes[i])
-            exact = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
-            assert out[i, on] == pytest.approx(exact, rel=1e-9, abs=1e-10)
-    assert len(made._stack.bases.psi) <= 12
-
-
-@pytest.mark.parametrize("n", [12, 37, 64, 65, 100])
-def test_digits_of_products_do_not_depend_on_the_other_rows(n):
-    """Nor on how many right sides there are, nor on who else has the same matrix."""
-    matrices, rows = RNG.normal(size=(3, n, n)), RNG.normal(size=(41, n))
-
-    def products(rows, which):
-        return RowProducts(np.asarray(which)).of(rows, Matrices.of(matrices))
-
-    every = products(rows, np.full(41, 1))
-    assert every == pytest.approx(rows @ matrices[1], abs=1e-10)
-    for count in (1, 2, 7, 8, 9, 40):
-        part = RNG.permutation(41)[:count]
-        assert np.array_equal(products(rows[part], np.full(count, 1)), every[part])
-        sides = products(np.array([rows[part], 2.0 * rows[part]]), np.full(count, 1))
-        assert np.array_equal(sides[0], every[part])
-        which = RNG.integers(0, 3, count)
-        mixed = products(np.array([rows[part], rows[part]]), which)
-        assert np.array_equal(mixed[1][which == 1], every[part][which == 1])
-        for k in range(3):
-            exact = rows[part][which == k] @ matrices[k]
-            assert mixed[0][which == k] == pytest.approx(exact, abs=1e-10)
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("control", ["force", "approach"])
+def test_responses_are_differences(solver, name, control):
+    """To the hundredths that estimates of errors need; nobody gains or loses contact."""
+    wear, load = wear_of(name), load_of(control)
+    change = 1e-9 * RNG.uniform(0.5, 1.0, (B, N))
+    before = solver.solve(GAP, **load, wear=wear)
+    response = solver.derivatives.response(change)
+    after = solver.solve(GAP + change, **load, wear=wear)
+    same_set = ((before.pressure > 0.0) == (after.pressure > 0.0)).all(axis=1)
+    assert np.count_nonzero(same_set) > B // 2
+    found = (after.pressure - before.pressure)[same_set]
+    size = np.abs(found).max(axis=1, keepdims=True)
+    size += 1e-9 * before.pressure[same_set].max(axis=1, keepdims=True)
+    assert (np.abs(found - response[same_set]) <= 0.05 * size).all()

@@ -4,24 +4,12 @@ import os
 
 import numpy as np
 import pytest
-from mpi4py import MPI
-from petsc4py import PETSc
 
 from ringwear_par.elasticity.bem import rows, solve
 from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
-from ringwear_par.elasticity.bem.solve import has_scalapack
-from ringwear_par.elasticity.bem.systems import Rows
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Material, Section
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
-from ringwear_par.verification.elasticity import (
-    bar_error,
-    closure_error,
-    lame_error,
-    torsion_error,
-)
-
-pytestmark = pytest.mark.serial
 
 LOWER = Section((20.0, 40.0), 20.0)
 UPPER = Section((28.5, 31.5), 20.0)
@@ -34,7 +22,6 @@ def condensed(section, mesh, comm, grip="clamped"):
     return compliance(Body(section, 1.0, 0.3, grip), line, mesh, comm)
 
 
-@pytest.mark.ranks
 def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypatch):
     """Not integrals over parts that are too long, whose error nobody would see."""
     monkeypatch.setattr(rows, "MAX_PARTS", 2)
@@ -46,15 +33,6 @@ def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypa
     assert np.array_equal(condensed(UPPER, Mesh(16), comm).normal, known)
 
 
-def test_rigid_modes_close():
-    assert closure_error() < 1e-12
-
-
-def test_linear_fields_are_exact_but_for_quadrature(comm):
-    assert bar_error(16, comm) < 1e-6
-    assert lame_error(64, comm) < 1e-6
-
-
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999, 0.499999999])
 def test_the_quadrature_is_as_accurate_of_incompressible_bodies(poisson, comm):
     """Its error is not multiplied by 1 / (1 - 2 nu)."""
@@ -64,11 +42,6 @@ def test_the_quadrature_is_as_accurate_of_incompressible_bodies(poisson, comm):
         body = Body(LOWER, 1.0, poisson, "clamped")
         found.append(compliance(body, contact_line(CONTACT, mesh, LOWER), mesh, comm).normal)
     assert np.abs(found[0] - found[1]).max() < 1e-6 * np.abs(found[1]).max()
-
-
-def test_torsion_converges_with_order_two(comm):
-    coarse, fine = (torsion_error(n, comm) for n in (16, 32))
-    assert np.log2(coarse / fine) > 1.8
 
 
 @pytest.mark.parametrize(
@@ -107,71 +80,11 @@ def test_clamped_is_stiffer_than_platen(comm):
     assert mean[0] < mean[1] < 1.05 * mean[0]
 
 
-@pytest.mark.several
-def test_same_compliance_on_any_number_of_ranks(comm):
-    """To the last bit, whoever solved which of the systems."""
-    body = condensed(LOWER, Mesh(32), comm)
-    for other in (condensed(LOWER, Mesh(32), MPI.COMM_SELF), condensed(LOWER, Mesh(32), comm)):
-        for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
-            assert np.array_equal(getattr(body, name), getattr(other, name)), name
-    assert body.cost.kernel_evaluations == other.cost.kernel_evaluations
-
-
-@pytest.mark.ranks
-@pytest.mark.mpi(min_size=2)
-def test_redundant_and_distributed_factorisations_agree_with_whole_ones(comm, monkeypatch):
-    if not has_scalapack():
-        pytest.skip("this PETSc has no ScaLAPACK")
-    options = PETSc.Options()
-    whole = condensed(LOWER, Mesh(32), comm)
-    options["bem_pc_type"] = "redundant"
-    try:
-        redundant = condensed(LOWER, Mesh(32), comm)
-    finally:
-        del options["bem_pc_type"]
-    monkeypatch.setattr(solve, "ONE_RANK_LIMIT", 10)
-    distributed = condensed(LOWER, Mesh(32), comm)
-    for other in (redundant, distributed):
-        for name in ("normal", "torsion", "force_reaction", "torque_reaction"):
-            a, b = getattr(other, name), getattr(whole, name)
-            assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
-
-
 def test_who_solves_which_system():
     assert solve.owners([574, 566, 287, 283], 1) == [0, 0, 0, 0]
     assert solve.owners([574, 566, 287, 283], 2) == [0, 1, 1, 0]
     assert solve.owners([283, 566, 287, 574], 3) == [2, 1, 2, 0]
     assert solve.owners([100, 200], 5) == [1, 0]
-
-
-@pytest.mark.ranks
-def test_a_singular_system_fails_on_all_ranks(comm):
-    share = [rank * 9 // comm.size for rank in range(comm.size + 1)][comm.rank :][:2]
-    local = share[1] - share[0]
-    sound = Rows(np.eye(9)[slice(*share)], np.ones((local, 2)), share[0])
-    singular = Rows(np.zeros((local, 9)), np.ones((local, 2)), share[0])
-    found = solve.solve_systems([sound, sound], comm)
-    assert comm.allreduce(sum(x.sum() for x, _ in found)) == 36.0
-    with pytest.raises(ComputationError, match="factorisation failed"):
-        solve.solve_systems([sound, singular], comm)
-
-
-@pytest.mark.ranks
-def test_no_rank_holds_a_whole_matrix(comm):
-    from ringwear_par.elasticity.bem.assembly import assemble
-    from ringwear_par.elasticity.bem.body import boundary_conditions
-    from ringwear_par.elasticity.bem.boundary import boundary_mesh
-    from ringwear_par.elasticity.bem.quadrature import quadrature
-    from ringwear_par.elasticity.bem.systems import Zone, number_dofs
-
-    body = boundary_mesh(LOWER, contact_line(CONTACT, Mesh(16)), Mesh(16))
-    zones = [Zone(body, boundary_conditions(body, "clamped"), Material(1.0, 0.3))]
-    rows = assemble(zones, number_dofs(zones), quadrature(1e-6), comm)
-    for system in (rows.normal, rows.torsion):
-        local, n = system.matrix.shape
-        assert comm.allreduce(local) == n
-        assert abs(local - n / comm.size) <= 0.1 * n
-        assert system.start == sum(comm.allgather(local)[: comm.rank])
 
 
 def resident_megabytes():

@@ -11,8 +11,6 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import ComputationError
 
-pytestmark = pytest.mark.serial
-
 CONTACT, MESH = (28.5, 31.5), Mesh(16)
 LOWER = Body(Section((20.0, 40.0), 20.0), 210e3, 0.3, "clamped")
 UPPER = Body(Section(CONTACT, 20.0), 70e3, 0.35, "platen")

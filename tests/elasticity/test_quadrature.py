@@ -11,8 +11,6 @@ from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone, number
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Material, Section
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.mark.parametrize("power", range(5))
 def test_singular_rule_for_polynomials_and_logarithms(power):

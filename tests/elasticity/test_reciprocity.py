@@ -12,8 +12,6 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
 
-pytestmark = pytest.mark.serial
-
 CONTACT, FORCE = (28.5, 31.5), 28274.334
 WIDE, NARROW = Section((20.0, 40.0), 20.0), Section(CONTACT, 20.0)
 #: lower and upper, and the radii of their contact

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from paths import CASES
+from reference_cases import SORTS, Rings, ring_case
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import condense, contact_problem, solve_bodies
@@ -22,9 +23,6 @@ from ringwear_par.elasticity.stress.fields import FACES
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
 from ringwear_par.history.start import first_contact
-from ringwear_par.verification.fine import SORTS, Rings, ring_case
-
-pytestmark = pytest.mark.serial
 
 CONTACT = (28.5, 31.5)
 TAN = math.tan(math.radians(10.0))
@@ -163,7 +161,6 @@ def test_cones_are_reciprocal(cones, comm):
     assert min(axial) > 0.01
 
 
-@pytest.mark.ranks
 def test_reactions_of_cones_are_those_of_equilibrium(cones):
     """Projected area for the force, true area for the torque."""
     errors = []

@@ -17,8 +17,6 @@ from ringwear_par.elasticity.stress.surface import faces
 from ringwear_par.elasticity.stress.zone import ZoneStress, locate
 from ringwear_par.errors import ComputationError
 
-pytestmark = pytest.mark.serial
-
 NU = 0.3
 RING = Section((20.0, 40.0), 20.0)
 DISC = Section((0.0, 10.0), 8.0)

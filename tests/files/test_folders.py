@@ -5,8 +5,6 @@ import pytest
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_others
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.mark.parametrize(
     ("name", "command", "refused"),
@@ -15,11 +13,8 @@ pytestmark = pytest.mark.serial
         ("fit.json", "measure", "ringwear fit"),
         ("progress", "predict", "ringwear fit"),
         ("cases.csv", "fit", "ringwear sweep"),
-        ("shards", "fit", "ringwear sweep"),
-        ("measure.json", "fit", "ringwear measure"),
         ("design.json", "sweep", "ringwear fit"),
-        ("shards/", "fit", ""),  # of a sweep that has failed before its first case
-        ("progress/", "sweep", ""),  # of a fit that has failed
+        ("shards/", "fit", ""),  # empty
         ("design.json", "fit", ""),
         ("cases.csv", "sweep", ""),
     ],

@@ -8,7 +8,6 @@ from paths import PAPER, ROOT
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
 PAGE = (ROOT / "docs" / "howto" / "optimisers.md").read_text("utf-8")
 #: of the examples: enough for what is looked at here
 SMALL = {"time.scheme": "adaptive", "mesh.contact_elements": 12}

@@ -1,7 +1,6 @@
 """Pages of reports as a browser reads them: elements, texts, tables, and charts of Bokeh."""
 
 import html.parser
-import itertools
 import json
 
 import numpy as np
@@ -43,14 +42,6 @@ class Drawn:
                 *(self.columns[kind][c] for c in ("name", "x", "y")), strict=True
             )
         }
-
-    @property
-    def ordinates(self):
-        """All of them that a table has."""
-        steps = zip(self.columns["lines"]["y"], self.columns["lines"]["stepped"], strict=True)
-        lines = [y[1::2] if stepped else y for y, stepped in steps]
-        of_curves = itertools.chain(*self.columns["ends"]["y"], *lines)
-        return [*of_curves, *self.columns["points"]["y"]]
 
 
 class Read(html.parser.HTMLParser):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_steps import change_steps
+from reference_cases import OMEGA
 
 from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.errors import ComputationError
@@ -14,13 +15,10 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
 from ringwear_par.schedules import Table, integral
-from ringwear_par.verification.histories import OMEGA
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-
-pytestmark = pytest.mark.serial
 
 FORCE = 45238.934
 
@@ -195,7 +193,6 @@ def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
     assert errors[1] < 0.02 * size
 
 
-@pytest.mark.ranks
 def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")

@@ -7,7 +7,6 @@ import active_set
 import numpy as np
 import pytest
 import random_cases
-from mpi4py import MPI
 from one_contact import OneContact
 from paths import CASES
 
@@ -25,10 +24,8 @@ from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-pytestmark = pytest.mark.serial
-
 CHAMFER = CASES / "chamfer.toml"
-#: of scripts/random_cases.py with seed 1: contact that does not reach the edges, or has a corner
+#: of the random cases with seed 1: contact that does not reach the edges, or has a corner
 NUMBERS = (12, 120, 144)
 
 
@@ -216,22 +213,6 @@ def test_explicit_steps_are_corrected_each(comm):
             uncorrected.append(errors(found, exact, m).max())
             before = state.contact.pressure
     assert min(uncorrected) > 5e-4
-
-
-@pytest.mark.several
-@pytest.mark.parametrize("number", NUMBERS[:1])
-def test_ranks_find_the_same(cases, number, comm):
-    """Assembled and solved together as by one rank alone; each rank corrects by itself."""
-    case, pair = cases[number]
-    alone = trace(case, MPI.COMM_SELF)
-    together = trace(case, comm, pair=pair)
-    assert together.steps == alone.steps
-    for one, other in ((together.states[i].contact, alone.states[i].contact) for i in (0, -1)):
-        size = np.abs(other.pressure).max()
-        assert one.pressure == pytest.approx(other.pressure, rel=1e-9, abs=1e-9 * size)
-        everywhere = comm.allgather(one.pressure.tobytes())
-        assert len(set(everywhere)) == 1
-    assert together.last.wear == pytest.approx(alone.last.wear, rel=1e-9, abs=1e-12)
 
 
 def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):

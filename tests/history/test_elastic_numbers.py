@@ -6,8 +6,6 @@ from paths import CASES
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 STEPS = {"time": None, "time.scheme": "implicit", "mesh.contact_elements": 24}
 COATED = {**STEPS, "time.step": 10.0, "time.steps": 4}
 #: through the coating everywhere

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paths import PAPER
+from reference_cases import paper_case, round_face
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
@@ -16,10 +17,7 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.cases import check_mesh
 from ringwear_par.history.start import initial_state
-from ringwear_par.verification.histories import paper_case, round_face
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-
-pytestmark = pytest.mark.serial
 
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
@@ -29,7 +27,6 @@ def states(case, comm):
     return history, history.states
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize("scheme", [Stepping("implicit", 4.0, 50), Stepping("adaptive", until=200)])
 def test_following_changes_little_and_keeps_the_balances(comm, scheme):
     case = paper_case(UPDATED, p0=(0.0, 0.0), k=(1e-7, 2e-8), stepping=scheme)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from changed_steps import change_steps
 from mpi4py import MPI
+from reference_cases import paper_case
 
 from ringwear_par.cases.case import Output, Stepping
 from ringwear_par.elasticity.mesh import Mesh
@@ -13,7 +14,6 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.verification.histories import paper_case
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw

@@ -11,8 +11,6 @@ from ringwear_par.history.elastic.interpolated_pairs import TOLERANCE, interpola
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.studies.execution.batches import computed
 
-pytestmark = pytest.mark.serial
-
 CASE = {
     "lower.r": [20.0, 40.0], "lower.z": [0.0, 20.0], "lower.young": 1e4, "lower.poisson": 0.3,
     "lower.layers": [{"thickness": 0.05, "young": 1e5, "poisson": 0.3,
@@ -54,7 +52,6 @@ def interpolated(case, comm):
     return interpolate(case, assembled(case), BOUNDS, MOST, comm)
 
 
-@pytest.mark.ranks
 def test_compliances_are_as_close_as_they_say(case, interpolated):
     rng = np.random.default_rng(1)
     assert interpolated.error <= TOLERANCE

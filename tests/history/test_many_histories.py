@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference_cases import OMEGA, paper_case
 
 from ringwear_par.cases.case import Load
 from ringwear_par.elasticity.mesh import Mesh
@@ -12,10 +13,8 @@ from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
-from ringwear_par.verification.histories import OMEGA, paper_case
 
 #: no rank of a batch knows of others
-pytestmark = pytest.mark.serial
 SCHEMES = {"explicit": euler.forward, "implicit": euler.backward, "adaptive": sdirk2.step}
 
 

@@ -16,8 +16,6 @@ from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw
 
-pytestmark = pytest.mark.serial
-
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
 
 

@@ -1,17 +1,21 @@
-"""The first of the random cases of scripts/random_cases.py: all run, and keep their balances."""
+"""Random cases of every sort: all run, and keep their balances."""
 
 import numpy as np
 import pytest
 import random_cases
 
+import ringwear_par as rw
 
-@pytest.mark.serial
+#: defects of force, volume, energy and the contact's KKT conditions
+ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}
+
+
 @pytest.mark.parametrize("number", range(24))
 def test_a_random_case_keeps_its_balances(number):
     keys, _ = random_cases.random_case(np.random.default_rng((1, number)))
-    history, most = random_cases.compute(keys, f"case {number}")
-    assert random_cases.failure(history.balances) == ""
-    assert most < 500
+    balances = rw.simulate(rw.read_case(keys)).balances
+    for name, allowed in ALLOWED.items():
+        assert balances[name] <= allowed, name
 
 
 def test_random_cases_are_of_every_sort():

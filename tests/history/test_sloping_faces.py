@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paths import CASES, PAPER
+from reference_cases import CONTACT, Rings, ring_case
 from wearing import sliding
 
 from ringwear_par.cases.case import Stepping
@@ -23,13 +24,10 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
-from ringwear_par.verification.fine import CONTACT, Rings, ring_case
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-
-pytestmark = pytest.mark.serial
 
 CHAMFER, PAPER = CASES / "chamfer.toml", PAPER
 DEGREES = 10.0

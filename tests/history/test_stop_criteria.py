@@ -14,7 +14,6 @@ SMALL = {"mesh.contact_elements": 12}
 FIXED = {"time.steps": 40}
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("scheme", [FIXED, {"time.scheme": "adaptive", "time.end": 40.0}])
 def test_each_history_of_a_batch_ends_at_its_own_limit(comm, scheme):
     case = rw.read_case(PAPER, {**SMALL, **scheme})
@@ -38,7 +37,6 @@ def test_each_history_of_a_batch_ends_at_its_own_limit(comm, scheme):
         assert "stop." not in results[1].summary(verbose=verbose)
 
 
-@pytest.mark.serial
 def test_what_needs_all_of_a_history_refuses_limits(comm):
     case = rw.read_case(PAPER, {**SMALL, **FIXED, "stop.wear_lower": "3 um"})
     with pytest.raises(
@@ -49,10 +47,9 @@ def test_what_needs_all_of_a_history_refuses_limits(comm):
         rw.function(case, ["wear.lower.k"], ["penetration"])
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("time", [["time.steps=20"], ["time.scheme=adaptive", "time.end=20"]])
-def test_a_larger_limit_goes_on_to_the_same_bits(shared_path, comm, caplog, time):
-    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, caplog, time):
+    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
     keys = ["mesh.contact_elements=12", "output.every=3", *time]
 
     def run(path, limit, restart=False):
@@ -75,7 +72,6 @@ def test_a_larger_limit_goes_on_to_the_same_bits(shared_path, comm, caplog, time
     assert "stopped_by" not in rw.open_result(parts).attributes
 
 
-@pytest.mark.serial
 def test_a_sweep_flags_cases_that_a_limit_ended(comm):
     case = rw.read_case(PAPER, {**SMALL, **FIXED})
     cases = [case.replace({"stop.energy": limit}) for limit in (9e6, 1e12)]

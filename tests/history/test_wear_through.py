@@ -141,14 +141,6 @@ def test_a_threshold_above_the_pressure_fails_no_step(pair, p0, step):
     assert (np.diff([state.wear[0] for state in history.states], axis=0) >= 0.0).all()
 
 
-@pytest.mark.several
-def test_ranks_have_the_same_history(comm, pair):
-    case = case_of(**{"time.end": 60.0})
-    together, alone = trace(case, comm), trace(case, ALONE, pair=pair)
-    np.testing.assert_allclose(together.last.wear, alone.last.wear, atol=2e-6)
-    np.testing.assert_allclose(together.last.through, alone.last.through, rtol=1e-6)
-
-
 KEYS = (
     "lower.layers[0].wear.k", "lower.layers[0].wear.p0", "wear.lower.k", "load.pressure",
     "contact.friction",

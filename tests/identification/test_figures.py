@@ -13,8 +13,6 @@ from ringwear_par.identification.figures import drawn_series
 from ringwear_par.identification.fit import expected_result
 from ringwear_par.pictures import fit_panels, key_panels
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):

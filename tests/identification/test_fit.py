@@ -32,7 +32,7 @@ from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
 from ringwear_par.identification.model.histories import Histories
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 

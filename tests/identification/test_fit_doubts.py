@@ -6,8 +6,6 @@ import pytest
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.fit_doubts import conditional_verdicts
 
-pytestmark = pytest.mark.serial
-
 
 def test_an_interval_that_another_key_s_bound_makes():
     """Of correlation r, fixing the one leaves sqrt(1 - r^2) of the other's sd."""

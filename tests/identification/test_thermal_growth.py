@@ -7,7 +7,6 @@ import pytest
 from laboratory import (
     CASE,
     PAPER,
-    PEN,
     SD_PENETRATION,
     TRUTH,
     changed,
@@ -39,8 +38,6 @@ END, READINGS = 7200.0, 120
 OMEGA = 3.5 * 100.0 / END
 THERMAL = {"time": {"start": "20 min", "bounds": ["2 min", "3 h"],
                     "prior": {"normal": ["25 min", "8 min"]}}}  # fmt: skip
-
-pytestmark = pytest.mark.serial
 
 
 @pytest.fixture(scope="module")
@@ -233,21 +230,3 @@ def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
         for experiment in problem.experiments:  # in total they rise
             experiment.series[0].value[-1] = 1.0
     refuse_reversed(misfit, start)
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "said"),
-    [
-        (("time",), None, "thermal.time: start is missing: must be a finite number > 0"),
-        (("time", "start"), "3 mm", 'thermal.time: start = "3 mm": must be a finite number > 0'),
-        (("time",), {"start": 1500.0}, "has neither prior nor bounds; must have one of them"),
-        (("time", "start"), 60, "start = 60: must be within its bounds, 120 to 10800 s"),
-        (("time", "prior"), {"normal": [-1, 1]}, "must have a mean > 0"),
-        (("amplitude",), {"prior": 1}, "thermal.amplitude: prior = 1: must be { normal"),
-    ],
-)
-def test_faults(warm, path, value, said):
-    tables = warm({"offset": {}, "thermal": THERMAL})
-    (fault,) = refused(changed(tables, (*PEN, "nuisance", "thermal", *path), value))
-    assert said in fault
-    assert fault.startswith('fit: experiment "40 MPa": data 1 (penetration): nuisance.thermal')

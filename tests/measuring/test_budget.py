@@ -6,8 +6,6 @@ import pytest
 from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
 from ringwear_par.measuring.measure_numbers import estimate_text
 
-pytestmark = pytest.mark.serial
-
 
 def product(us=(0.1, 0.02)):
     """Return the budget of x y at x = 10, y = 2."""

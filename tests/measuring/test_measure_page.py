@@ -9,8 +9,6 @@ from paths import ROOT
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
@@ -28,9 +26,8 @@ def page(tmp_path_factory):
 def test_the_answer_and_the_doubts(page):
     _, text = page
     assert re.search(r"Specific wear rate 1\.\d+e-06 mm³/\(N m\) from 1\.\d+e-06 to", text)
-    assert "W4: not steady: no late part of the record shows for certain that the wear rate" in text
-    assert "falls in total: taken as a position" in text
-    assert "W1: skipped 5 empty cells" in text
+    for words in ("W4: not steady", "falls in total", "5 empty cells"):
+        assert words in text
     assert not {"+-", "±"} & set(text.split())
 
 

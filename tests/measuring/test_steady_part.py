@@ -15,8 +15,6 @@ from ringwear_par.measuring.analysis.steady_part import (
     steady_start,
 )
 
-pytestmark = pytest.mark.serial
-
 
 def test_a_line_without_noise_is_found():
     x = np.linspace(-0.5, 0.5, 30)

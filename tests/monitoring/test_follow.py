@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from commands import ringwear, sentences
+from commands import ringwear
 from laboratory import CASE, END, fit_tables, history, penetration, write_table
 from mpi4py import MPI
 from scipy.special import logsumexp
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_json, toml_text
+from ringwear_par.files.text import toml_text
 from ringwear_par.identification.definition.problem import ProcessNoise, Series
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.summary import probabilities
@@ -76,7 +76,7 @@ def followed(laboratory, folder, name="running", **options):
     """Follow the running test once, and return what is stored of it."""
     options = {"after": laboratory / "out", "once": True, "draws": 4000, **options}
     run_follow(laboratory / f"{name}.toml", folder, MPI.COMM_SELF, **options)
-    return parse_json((folder / "follow.json").read_text())
+    return json.loads((folder / "follow.json").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +212,7 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(laboratory, tmp_path,
                    after=laboratory / "out", draws=2000)  # fmt: skip
     finally:
         writer.join()
-    stored = parse_json((tmp_path / "out" / "follow.json").read_text())
+    stored = json.loads((tmp_path / "out" / "follow.json").read_text())
     assert stored["readings"] == len(rows)
     assert 60.0 <= stored["alarm"]["time"] <= 75.0
     low, high = stored["keys"][KEY]["interval"]
@@ -225,7 +225,7 @@ def test_two_ranks_say_the_same(laboratory, tmp_path):
     words = ["follow", laboratory / "running.toml", "-o", tmp_path / "two", "--once"]
     done = ringwear(*words, "--after", laboratory / "out", "--draws", 2000, ranks=2)
     assert done.returncode == 0, done.stderr
-    stored = parse_json((tmp_path / "two" / "follow.json").read_text())
+    stored = json.loads((tmp_path / "two" / "follow.json").read_text())
     for name in ("keys", "goal"):
         assert to_ten_digits(stored[name]) == to_ten_digits(alone[name])
 
@@ -321,12 +321,9 @@ def test_the_fit_file_may_not_change_what_is_followed(laboratory):
     another_key = text.replace('"parameters" = { ', f'"parameters" = {{ {bounds}, ', 1)
     another_key = another_key.replace(', "wear.lower.p0" = 25.0', "")
     for changed, sentence in (
-        (another_key, "fit.parameters and the case of test 5 changed"),
-        (text.replace("80.0", "40.0"), "toml: the case of test 5 changed"),
-        (
-            text.replace('"time.end" = 100.0', '"time.end" = 200.0'),
-            "toml: the case of test 5 changed",
-        ),
+        (another_key, "fit.parameters"),
+        (text.replace("80.0", "40.0"), "case of test 5"),
+        (text.replace('"time.end" = 100.0', '"time.end" = 200.0'), "case of test 5"),
     ):
         assert changed != text
         path.write_text(changed)
@@ -385,42 +382,21 @@ def test_what_is_refused(laboratory, tmp_path):
         path = laboratory / "refused.toml"
         path.write_text(text)
         options = {"after": laboratory / "out", "once": True, **options}
-        with pytest.raises(InputError) as error:
+        with pytest.raises(InputError, match=said):
             run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
-        assert said in str(error.value)
         assert not (tmp_path / "out").exists()
 
     (laboratory / "bare.csv").write_text("t,z\n1,2\n2,3\n")
-    bare = text.replace("z5.csv", "bare.csv").replace("t_s", "t").replace("z_um", "z")
-    refused("the column z names no unit; mm is taken; its unit must be given", bare)
-    refused("depth", text.replace("z_um", "depth"))
-    refused("test 9: must be one of test 5", test="test 9")
-    refused("so that its readings would count twice", text.replace('"test 5"', '"test 1"'))
-    refused("holds no fit.json", after=laboratory)
-    refused("without test 5 has no test; --after must name", after=None)
-    wrong = {"draws": 10, "to": "a bit", "depth": "3 s"}
-    refused("--draws = 10: must be a whole number >= 2000", **wrong)
-    refused("must be a percentage, such as 10%", **wrong)
-    refused("--to = 0.15: is a share or a percentage; must be 15% or 0.15%", to="0.15")
-    refused(
-        "compare.other: was not compared by",
-        text.replace("compare.archard", "compare.other").replace('"archard" =', '"other" ='),
-    )
-    refused("must be a length > 0, such as '20 um'", **wrong)
-    (laboratory / "speed.csv").write_text(
-        "t_s,omega_rpm\n" + "".join(f"{t},{33 + t / 100}\n" for t in range(0, 101, 5))
-    )
-    columns = '"columns" = { "time" = "t_s", "value" = "omega_rpm" }'
-    speed = f'"input" = [{{ "key" = "load.omega", "file" = "speed.csv", {columns} }}], "data" ='
-    refused(
-        "load.omega: is a measured input",
-        text.replace('"data" =', speed).replace('"load.omega" = 3.5, ', ""),
-    )
-    refused('sd = "fit": must be a number', text.replace('"sd" = 0.2', '"sd" = "fit"'))
-    refused("cannot be read", text.replace("z5.csv", "none.csv"))
+    refused("unit", text.replace("z5.csv", "bare.csv").replace("t_s", "t").replace("z_um", "z"))
+    refused("test 9", test="test 9")
+    refused("twice", text.replace('"test 5"', '"test 1"'))
+    refused("fit.json", after=laboratory)
+    refused("--after", after=None)
+    refused("--draws = 10(.|\n)*percentage(.|\n)*length", draws=10, to="a bit", depth="3 s")
+    refused("15%", to="0.15")
+    other = text.replace("compare.archard", "compare.other").replace('"archard" =', '"other" =')
+    refused("compare.other", other)
+    refused("sd", text.replace('"sd" = 0.2', '"sd" = "fit"'))
+    refused("none.csv", text.replace("z5.csv", "none.csv"))
     plain = (laboratory / "fit.toml").read_text().replace(', "scatter" = "fit"', "")
-    words = ["follow", laboratory / "plain.toml", "-o", tmp_path / "out", "--once"]
-    (laboratory / "plain.toml").write_text(plain)
-    done = ringwear(*words)
-    assert done.returncode == 2
-    assert "has neither scatter nor random wear" in sentences(done)[0]
+    refused("scatter", plain, after=None)

@@ -11,8 +11,6 @@ from paths import ROOT
 import ringwear_par as rw
 from ringwear_par.pictures.rig import rig_svg
 
-pytestmark = pytest.mark.serial
-
 CASES = [
     path
     for path in sorted((ROOT / "scripts/cases").glob("*.toml"))

@@ -8,8 +8,6 @@ from ringwear_par.identification.fitted_values import FittedValues
 from ringwear_par.prediction.draws import MATERIAL, NEXT, draw_paces, draw_values
 from ringwear_par.prediction.prediction import Prediction
 
-pytestmark = pytest.mark.serial
-
 DRAWS = 40_000
 #: standard errors that a moment may be off
 OFF = 4.0
@@ -76,7 +74,7 @@ def test_a_depth_is_reached_by_some_draws_only():
     assert reached.reached == pytest.approx(0.91)
     assert reached.median == pytest.approx(0.1 / 51e-3)
     assert reached.interval == (pytest.approx(0.1 / 98e-3), None)
-    with pytest.raises(InputError, match="must be > 0 mm"):
+    with pytest.raises(InputError, match="> 0"):
         prediction.time_to(-1.0)
-    with pytest.raises(InputError, match="must be one of penetration"):
+    with pytest.raises(InputError, match="penetration"):
         prediction.quantiles("depth")

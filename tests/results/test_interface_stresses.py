@@ -10,8 +10,6 @@ import ringwear_par as rw
 from ringwear_par.elasticity.stress.fields import SIDES, mises
 from ringwear_par.results.storage.export import export
 
-pytestmark = pytest.mark.serial
-
 HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
 SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}
 ALIKE = {"thickness": 0.3, "young": 1e4, "poisson": 0.3}
@@ -43,7 +41,6 @@ def areas(interface, inner):
     return np.pi * np.diff(np.square(ends))
 
 
-@pytest.mark.ranks
 def test_force_and_torque_go_through_every_interface(result):
     """Layers are free at their sides: what the contact bears must go on, however often."""
     last = result.stress.states[-1]
@@ -78,43 +75,33 @@ def test_points_on_a_side_have_the_same(comm):
         np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.ranks
 def test_file_and_dataset(result, tmp_path, comm):
     path = tmp_path / "run.h5"
     result.save(path)
-    if comm.rank == 0:
-        again = rw.open_result(path)
-        for one, other in zip(again.stress.states, result.stress.states, strict=True):
-            for i in (0, 1):
-                np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
-        data = again.to_xarray()
-        assert data.interface_stress_lower.dims == (
-            "stress_step", "interface_lower", "side", "interface_element_lower", "component",
-        )  # fmt: skip
-        assert data.side.values.tolist() == ["above", "below"]
-        assert data.interface_z_lower.values == pytest.approx([19.95, 19.75])
-        assert data.interface_z_upper.values == pytest.approx([20.2])
-        assert {"interface_r_lower", "interface_z_upper"} <= set(data.coords)
-        np.testing.assert_array_equal(
-            data.interface_mises_upper, mises(data.interface_stress_upper.values)
-        )
-        assert data.interface_stress_upper.units == data.interface_mises_lower.units == "MPa"
-        bare = rw.simulate(case_of(), comm_self()).to_xarray()
-        assert not [name for name in bare.variables if "interface" in name or name == "side"]
+    again = rw.open_result(path)
+    for one, other in zip(again.stress.states, result.stress.states, strict=True):
+        for i in (0, 1):
+            np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
+    data = again.to_xarray()
+    assert data.interface_stress_lower.dims == (
+        "stress_step", "interface_lower", "side", "interface_element_lower", "component",
+    )  # fmt: skip
+    assert data.side.values.tolist() == ["above", "below"]
+    assert data.interface_z_lower.values == pytest.approx([19.95, 19.75])
+    assert data.interface_z_upper.values == pytest.approx([20.2])
+    assert {"interface_r_lower", "interface_z_upper"} <= set(data.coords)
+    np.testing.assert_array_equal(
+        data.interface_mises_upper, mises(data.interface_stress_upper.values)
+    )
+    assert data.interface_stress_upper.units == data.interface_mises_lower.units == "MPa"
+    bare = rw.simulate(case_of(), comm_self()).to_xarray()
+    assert not [name for name in bare.variables if "interface" in name or name == "side"]
 
 
 def comm_self():
     from mpi4py import MPI
 
     return MPI.COMM_SELF
-
-
-@pytest.mark.several
-def test_the_same_on_all_ranks(result):
-    alone = rw.simulate(both_bodies(stress__times="all"), comm_self())
-    for one, other in zip(alone.stress.states, result.stress.states, strict=True):
-        for i in (0, 1):
-            np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
 
 
 def worn_through(geometry, step, comm=None, **more):

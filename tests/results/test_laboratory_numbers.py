@@ -12,7 +12,6 @@ from ringwear_par.cli import main
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 
-pytestmark = pytest.mark.serial
 K, RADIUS = 1e-8, 30.0
 #: Archard's law on flat rings whose speed rises and whose load steps; a density of lower only
 KEYS = {

@@ -6,8 +6,6 @@ from stored import assert_same
 
 from ringwear_par.results.storage.result_files import open_result
 
-pytestmark = pytest.mark.serial
-
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 ADAPTIVE = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50"]
 MOVING = ["mesh.geometry=updated", "mesh.geometry_tolerance=0.001"]
@@ -45,19 +43,12 @@ RUNS = {
     ),
     "doubts of before": (CASES / "crown.toml", CROWN, 3, "pressure"),
 }  # fmt: skip
-#: of what ranks share
-ON_RANKS = ("times", "coating partly gone", "boundaries", "stresses")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.ranks] * (name in ON_RANKS)) for name in RUNS],
-)
+@pytest.mark.parametrize("name", RUNS)
 def test_restart_equals_an_uninterrupted_run(name, restarted, comm):
     path, keys, step, variable = RUNS[name]
     whole, parts = restarted(path, keys, step, f"SIGTERM after step {step}")
-    if comm.rank > 0:
-        return
     assert assert_same(whole, parts)[variable].any()
     one, other = open_result(whole), open_result(parts)
     assert (one.doubts, one.balances) == (other.doubts, other.balances)

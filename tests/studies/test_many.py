@@ -116,17 +116,6 @@ def test_ranks_share_the_cases_whatever_their_shapes(case, comm, computed, shape
     assert max(counts) - min(counts) <= 1
 
 
-@pytest.mark.mpi(min_size=2)
-def test_ranks_work_at_the_same_time_on_cases_of_different_shapes(case, comm, monkeypatch):
-    """A round of cases is assembled before any of it is simulated."""
-    events, assemble, compute = [], many.assemble, many.computed
-    monkeypatch.setattr(many, "assemble", lambda *w: (events.append("a"), assemble(*w))[1])
-    monkeypatch.setattr(many, "computed", lambda *w, **h: (events.append("s"), compute(*w, **h))[1])
-    cases = [case.replace({"upper.r": [28.0 + 0.1 * i, 32.0]}) for i in range(2 * comm.size)]
-    simulate_all(cases, comm)
-    assert events == ([*"a" * comm.size, "s"]) * 2
-
-
 class FirstElements:
     """A law that was written for one history: it takes rows for elements."""
 
@@ -137,7 +126,6 @@ class FirstElements:
         return rate
 
 
-@pytest.mark.serial
 def test_a_law_that_was_written_for_one_history_has_it_to_itself(case, comm):
     cases = [replace(case, friction=mu, wear_lower=FirstElements()) for mu in (0.1, 0.2, 0.3)]
     for one, found in zip(cases, simulate_all(cases, comm), strict=True):
@@ -147,7 +135,6 @@ def test_a_law_that_was_written_for_one_history_has_it_to_itself(case, comm):
         assert found.profiles["wear_lower"] == pytest.approx(alone, rel=1e-12)
 
 
-@pytest.mark.serial
 def test_a_history_that_ends_without_load_goes_on(case, comm):
     """From the result of many histories, as one of a single history would."""
     force = case.load.force

@@ -6,8 +6,8 @@ import subprocess
 import time
 
 import h5py
+import killed_sweeps as faults
 import pytest
-import try_faults as faults
 from commands import SHELL_ENVIRONMENT
 from waiting import STEPS, Waiting
 
@@ -16,7 +16,6 @@ from ringwear_par.studies.execution import summary, team_store
 from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [
-    pytest.mark.serial,
     pytest.mark.slow,
     pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"),
 ]

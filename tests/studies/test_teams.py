@@ -4,7 +4,6 @@ import pytest
 from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.history import ensemble
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -16,12 +15,12 @@ FAILED = ["done", "failed", "done"]
 
 
 @pytest.fixture
-def swept(shared_path, comm):
+def swept(tmp_path, comm):
     """Sweep a study, all ranks a team."""
 
     def swept(case=CASE, **how):
-        path = write_study(shared_path, comm, STUDY, case)
-        return sweep(path, shared_path / "out", comm, ranks_per_case=comm.size, **how)
+        path = write_study(tmp_path, comm, STUDY, case)
+        return sweep(path, tmp_path / "out", comm, ranks_per_case=comm.size, **how)
 
     return swept
 
@@ -30,11 +29,9 @@ def is_bad(law):
     return abs(law.k - 1e-7) < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("scheme", "calls"), [("implicit", 0), ("implicit", 15), ("explicit", 15), ("adaptive", 15)]
-)
+@pytest.mark.parametrize(("scheme", "calls"), [("implicit", 0), ("adaptive", 15)])
 def test_a_law_that_raises_on_one_rank_fails_its_cases(
-    swept, shared_path, comm, monkeypatch, calls, scheme
+    swept, tmp_path, comm, monkeypatch, calls, scheme
 ):
     """In its first step, and in a later one."""
     case = CASE.replace("implicit", scheme)
@@ -52,25 +49,8 @@ def test_a_law_that_raises_on_one_rank_fails_its_cases(
     monkeypatch.setattr(ThresholdLaw, "line", Law.line)  # so that its rate is asked for
     with pytest.raises(ComputationError, match="1 of 3 cases failed"):
         swept(case)
-    comm.Barrier()
-    rows = table(shared_path / "out")
+    rows = table(tmp_path / "out")
     assert [row["status"] for row in rows] == FAILED
     assert {"only here" in row["error"] for row in rows if row["status"] == "failed"} == {True}
-    comm.Barrier()
     monkeypatch.undo()
     assert swept(case, retry_failed=True).done == 3
-
-
-def test_a_start_that_fails_on_one_rank_fails_its_case(swept, shared_path, comm, monkeypatch):
-    initial_state = ensemble.initial_state
-
-    def failing(physics, contacts):
-        if is_bad(physics.case.wear_lower) and comm.rank == comm.size - 1:
-            raise MemoryError("no room")
-        return initial_state(physics, contacts)
-
-    monkeypatch.setattr(ensemble, "initial_state", failing)
-    with pytest.raises(ComputationError, match="1 of 3 cases failed"):
-        swept()
-    comm.Barrier()
-    assert [row["status"] for row in table(shared_path / "out")] == FAILED

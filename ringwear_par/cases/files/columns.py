@@ -12,7 +12,7 @@ import numpy as np
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import factor, in_unit_where_right, named_unit
 from ringwear_par.cases.values import RejectedError, is_number
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements
 
 log = logging.getLogger(__name__)
@@ -111,10 +111,8 @@ def missing_column(table: Measurements, column: str, role: str) -> str:
     """Return the fault of a column that a table does not have, "" where it has."""
     if column in table.columns:
         return ""
-    return (
-        f"{table.name}: has no column {legible(column)} for {role}; must be one of "
-        f"{legible(', '.join(table.columns), 200)}"
-    )
+    sentence = f"{table.name}: has no column {legible(column)} for {role}; must be one of "
+    return Fault(sentence + legible(", ".join(table.columns), 200), code="not_found")
 
 
 def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") -> str | None:
@@ -132,10 +130,8 @@ def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") ->
     try:
         return named_unit(table.label(column), base)
     except RejectedError as reason:
-        raise InputError(
-            f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "
-            f"{UNITS[base]}{hint}"
-        ) from reason
+        sentence = f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "
+        raise InputError(Fault(f"{sentence}{UNITS[base]}{hint}", code="unit")) from reason
 
 
 def read_trace(path: Path) -> list[list[float]]:

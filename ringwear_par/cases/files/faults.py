@@ -9,8 +9,8 @@ from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH, SCHEMES
 from ringwear_par.elasticity import sections
 from ringwear_par.elasticity.mesh import contact_pieces
-from ringwear_par.errors import InputError
-from ringwear_par.files.text import shortened, value_fault
+from ringwear_par.errors import Fault, InputError
+from ringwear_par.files.text import shortened
 from ringwear_par.schedules import Quantity, largest, quantity_text
 
 #: most corners of a face: a profile with more is a trace that is not smooth
@@ -35,11 +35,6 @@ class Origin:
         overridden = not self.overrides.isdisjoint({path, path.partition("[")[0]})
         return f"{self.setting} " if overridden else f"{self.name}: "
 
-    def typed_fault(self, path: str, value: Any) -> str:
-        """Return why TOML takes a value that was typed for one key for a text, "" where it is."""
-        typed = self.setting == "--set" and path in self.overrides
-        return value_fault(value) if typed and isinstance(value, str) else ""
-
     @property
     def whole(self) -> str:
         """What the case is called with all that was set."""
@@ -54,8 +49,8 @@ def joint_faults(origin: Origin, keys: Mapping[str, Any], values: Mapping[str, A
     keys : dotted keys and raw values, as given.
     values : what was read of them, and defaults; without those that are wrong by themselves.
     """
-    faults = [
-        f"{origin.prefix(path)}{path} = {shortened(keys[path])}: {rule}"
+    faults: list[str] = [
+        Fault(f"{origin.prefix(path)}{path} = {shortened(keys[path])}: {rule}", path, "conflict")
         for path, rule in unread_keys(keys).items()
     ]
     faults += _overlap_faults(origin.whole, values)
@@ -99,7 +94,7 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
     return {path: rule for path, (is_unread, rule) in unread.items() if is_unread and path in keys}
 
 
-def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[Fault]:
     """Return the faults of radii."""
     if not {"lower.r", "upper.r"} <= values.keys():
         return []
@@ -116,16 +111,17 @@ def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
         low, high = 0.5 * radii[outer][0], 0.5 * radii[outer][1]
         if radii[inner][0] < high and low < radii[inner][1]:
             fault += f"; if {outer}.r are diameters, write [{low:g}, {high:g}]"
-        return [fault]
+        return [Fault(fault, "upper.r", "conflict")]
     if contact is None or (contact[0] < b and contact[1] > a):
         return []
-    return [
+    fault = (
         f"{name}: mesh.contact = [{contact[0]:g}, {contact[1]:g}]: must have an interval in common "
         f"with [{a:g}, {b:g}], where the bodies face each other (mm)"
-    ]
+    )
+    return [Fault(fault, "mesh.contact", "conflict")]
 
 
-def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
+def _load_faults(name: str, values: Mapping[str, Any]) -> list[Fault]:
     """Return the faults of what presses."""
     if not values.keys() >= LOADS:
         return []
@@ -141,17 +137,24 @@ def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
             f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
             f"{by_displacement}"
         )
-        unread = [f"{loads[key]}: must be absent where {by_displacement}" for key in loads]
-        return unread[:-1] if "displacement" in loads else [missing, *unread]
+        unread = [
+            Fault(f"{load}: must be absent where {by_displacement}", f"load.{key}", "conflict")
+            for key, load in loads.items()
+        ]
+        if "displacement" in loads:
+            return unread[:-1]
+        return [Fault(missing, "load.displacement", "missing"), *unread]
     if control == "force" and "displacement" in loads:
-        return [f"{loads['displacement']}: needs {by_displacement}"]
+        fault = f"{loads['displacement']}: needs {by_displacement}"
+        return [Fault(fault, "load.displacement", "conflict")]
     if control != "force" or len(loads) == 1:
         return []
     number = "neither of them is given"
     if loads:
         force, pressure = (quantity_text(values[f"load.{key}"]) for key in ("force", "pressure"))
         number = f"both are given ({force} N, {pressure} MPa)"
-    return [f'{name}: load.force, load.pressure: {number}; control = "force" needs one']
+    fault = f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
+    return [Fault(fault, "load.force", "conflict" if loads else "missing")]
 
 
 def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
@@ -159,16 +162,18 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
     needed = {"time.scheme", "time.step", "time.steps", "time.end", "output.times"}
     if not needed <= values.keys():
         return []
-    faults = []
+    faults: list[str] = []
     scheme, end = values["time.scheme"], values["time.end"]
     fixed = {key: values[key] for key in ("time.step", "time.steps")}
     missing = [key for key, value in fixed.items() if value is None]
     if SCHEMES[scheme].adaptive:
         if end is None and missing:
-            faults.append(f"{origin.name}: time.end is missing: {BY_PATH['time.end'].rule}")
+            sentence = f"{origin.name}: time.end is missing: {BY_PATH['time.end'].rule}"
+            faults.append(Fault(sentence, "time.end", "missing"))
     else:
+        where = f'where time.scheme = "{scheme}"'
         faults += [
-            f'{origin.name}: {key} is missing: {BY_PATH[key].rule} where time.scheme = "{scheme}"'
+            Fault(f"{origin.name}: {key} is missing: {BY_PATH[key].rule} {where}", key, "missing")
             for key in missing
         ]
     if end is None and not missing:
@@ -177,19 +182,22 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
         times = values.get(key)
         late = times[-1] if isinstance(times, tuple) else 0.0
         if end is not None and late > end * (1.0 + SAME_TIME):
-            faults.append(
-                f"{origin.whole}: {key}: {late:g} is after the end; must be <= {end:g} (s)"
-            )
+            sentence = f"{origin.whole}: {key}: {late:g} is after the end; must be <= {end:g} (s)"
+            faults.append(Fault(sentence, key, "conflict"))
     return faults
 
 
-def _grid_faults(name: str, keys: Mapping[str, Any]) -> list[str]:
+def _grid_faults(name: str, keys: Mapping[str, Any]) -> list[Fault]:
     """Return a fault for each key that a grid lacks."""
     table = "stress.grid."
     if not any(path.startswith(table) for path in keys):
         return []
     needed = [key for key in BY_PATH.values() if key.path.startswith(table) and key.default is None]
-    return [f"{name}: {key.path} is missing: {key.rule}" for key in needed if key.path not in keys]
+    return [
+        Fault(f"{name}: {key.path} is missing: {key.rule}", key.path, "missing")
+        for key in needed
+        if key.path not in keys
+    ]
 
 
 def contact_faces(
@@ -200,9 +208,8 @@ def contact_faces(
     for ring in faces:
         profile, chamfer = values.get(f"{ring}.profile"), values.get(f"{ring}.chamfer")
         if profile is not None and chamfer is not None:
-            faults.append(
-                f"{name}: {ring}.chamfer, {ring}.profile: both are given; must be one or the other"
-            )
+            sentence = f"{ring}.chamfer, {ring}.profile: both are given; must be one or the other"
+            faults.append(Fault(f"{name}: {sentence}", f"{ring}.profile", "conflict"))
             continue
         if not {f"{ring}.r", f"{ring}.z"} <= values.keys():
             continue
@@ -223,7 +230,8 @@ def contact_faces(
             face_faults = sections.profile_faults(ring, profile, r, z)
             if not face_faults:
                 faces[ring] = sections.profile_face(ring, profile, r, z)
-        faults += [f"{name}: {ring}.{fault}" for fault in face_faults]
+        key = f"{ring}.{'profile' if chamfer is None else 'chamfer'}"
+        faults += [Fault(f"{name}: {ring}.{fault}", key, "conflict") for fault in face_faults]
     return faces
 
 
@@ -241,28 +249,34 @@ def layer_faults(
     faces : contact faces of lower and upper.
     layers : by key, those that are right.
     """
-    faults = []
+    faults: list[str] = []
     for path, body_layers in layers.items():
         body, total = path.partition(".")[0], sum(layer.thickness for layer in body_layers)
         z = values.get(f"{body}.z")
         if not body_layers:
             continue
         if z is not None and total >= z[1] - z[0]:
-            faults.append(
+            sentence = (
                 f"{name}: {path}: are {total:g} mm thick together; must be less than the "
                 f"{z[1] - z[0]:g} mm of {body}"
             )
+            faults.append(Fault(sentence, path, "conflict"))
         deepest = -min((height for _, height in faces[body]), default=0.0)
         if deepest >= body_layers[0].thickness:
-            faults.append(
+            sentence = (
                 f"{name}: {path}[0].thickness = {body_layers[0].thickness:g}: the contact face of "
                 f"{body} recedes by {deepest:g} mm; must be more than that, so that it stays "
                 "within the top layer"
             )
+            faults.append(Fault(sentence, f"{path}[0].thickness", "conflict"))
     if any(layers.values()):
         faults += [
-            f'{name}: wear.{body}.law = "non-local": averages over a length; must be a local law '
-            "where a body has layers"
+            Fault(
+                f'{name}: wear.{body}.law = "non-local": averages over a length; must be a local '
+                "law where a body has layers",
+                f"wear.{body}.law",
+                "conflict",
+            )
             for body in ("lower", "upper")
             if values.get(f"wear.{body}.law") == "non-local"
         ]
@@ -276,7 +290,7 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
     ------
     InputError : all faults, one sentence each.
     """
-    faults = []
+    faults: list[str] = []
     try:
         contact_pieces(case.contact, case.mesh, *case.sections)
     except InputError as error:
@@ -288,17 +302,22 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
             if len(ring.face) > _MANY_CORNERS and len(sections.corners(section)) > _MANY_CORNERS
         ]
         hint = f"; {' and '.join(rough)}.profile is rough: smooth it, or give fewer points"
-        faults += [f"{name}: {fault}{hint if rough else ''}" for fault in error.faults]
+        faults += [
+            Fault(f"{name}: {fault}{hint if rough else ''}", "mesh.contact", fault.code)
+            for fault in error.faults
+        ]
     if displacement is not None and case.interpenetration > largest(displacement):
-        faults.append(
+        sentence = (
             f"{name}: load.displacement = {quantity_text(displacement)}: the undeformed rings "
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
         )
+        faults.append(Fault(sentence, "load.displacement", "conflict"))
     inside, outside = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
     if outside < inside - sections.CLOSE * max(1.0, case.lower.z[1]):
-        faults.append(
+        sentence = (
             f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
             f"each other outside, {outside:g} mm, than inside; must take in where they meet first"
         )
+        faults.append(Fault(sentence, "mesh.contact", "conflict"))
     if faults:
         raise InputError(*faults)

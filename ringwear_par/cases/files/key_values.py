@@ -27,7 +27,7 @@ from ringwear_par.cases.schema import (
 )
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import Section
-from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.wear.law import Law, parameters_of
 from ringwear_par.wear.laws import LAWS
@@ -49,28 +49,30 @@ def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any]
             try:
                 values[path] = key.value(value)
             except RejectedError as reason:
-                reason_text = origin.typed_fault(path, value) or str(reason)
-                rule = f"{key.rule} ({reason_text})" if reason_text else key.rule
-                faults.append(f"{origin.prefix(path)}{path} = {shortened(value)}: {rule}")
+                rule = f"{key.rule} ({reason})" if str(reason) else key.rule
+                sentence = f"{origin.prefix(path)}{path} = {shortened(value)}: {rule}"
+                faults.append(Fault(sentence, path, reason.code))
         elif path in TABLES and value == {}:
-            faults.append(f"{origin.prefix(path)}[{path}]: is empty; must have one of its keys")
+            sentence = f"{origin.prefix(path)}[{path}]: is empty; must have one of its keys"
+            faults.append(Fault(sentence, path, "missing"))
         elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
             subject = f"{path} = {shortened(value)}"
             must = " of a law" if path not in TABLES else f", [{path}]"
-            faults.append(f"{origin.prefix(path)}{subject}: must be a table{must}")
+            sentence = f"{origin.prefix(path)}{subject}: must be a table{must}"
+            faults.append(Fault(sentence, path, "not_allowed"))
         elif not of_refused_law(path, raw):
-            subject = f"{origin.prefix(path)}{legible(path)}"
-            if len(faults) < MOST_FAULTS:
-                faults.append(f"{subject}: {unknown_key(path)}")
-                meant.update(nearest_keys(path))
-            else:
-                faults.append(f"{subject}: unknown key")
+            few = len(faults) < MOST_FAULTS
+            reason_text = unknown_key(path) if few else "unknown key"
+            sentence = f"{origin.prefix(path)}{legible(path)}: {reason_text}"
+            faults.append(Fault(sentence, path, "unknown_key"))
+            meant.update(nearest_keys(path) if few else ())
     for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
         if key.path not in raw and key.path not in meant:
             if key.default is not ...:
                 values[key.path] = key.default
             else:
-                faults.append(f"{origin.name}: {key.path} is missing: {key.rule}")
+                sentence = f"{origin.name}: {key.path} is missing: {key.rule}"
+                faults.append(Fault(sentence, key.path, "missing"))
     return values, faults
 
 
@@ -139,20 +141,29 @@ def read_law(
         return None
     if values.get(f"{table}.law", "") is None:
         rule = _rule(f"{table}.law")
-        faults.append(f"{name}: {table}.law is missing: {rule} where {first} is given")
+        sentence = f"{name}: {table}.law is missing: {rule} where {first} is given"
+        faults.append(Fault(sentence, f"{table}.law", "missing"))
     law = values.get(f"{table}.law")
     if law is None:
         return None
     declared = parameters_of(LAWS[law])
     law_faults = [
-        f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"'
+        Fault(
+            f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"',
+            f"{table}.{key}",
+            "missing",
+        )
         for key, parameter in declared.items()
         if parameter.needed and values.get(f"{table}.{key}", "") is None
     ]
     own_keys = law_keys(table, law)
     law_faults += [
-        f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
-        f"{_owners(path)}"
+        Fault(
+            f'{path}: has no meaning where {table}.law = "{law}"; must be among '
+            f"{', '.join(declared)}{_owners(path)}",
+            path,
+            "conflict",
+        )
         for path in keys
         if path.startswith(f"{table}.") and path not in own_keys and key_of(path) is not None
     ]
@@ -162,13 +173,13 @@ def read_law(
         law_faults += LAWS[law].faults(f"{table}.", parameters)
     else:
         result, law_faults = make_law(LAWS[law], table, parameters)
-    faults += [f"{name}: {fault}" for fault in law_faults]
+    faults += [fault.reworded(f"{name}: {fault}") for fault in law_faults]
     return result
 
 
 def make_law(
     kind: type[Law], table: str, values: Mapping[str, Any]
-) -> tuple[Law | None, list[str]]:
+) -> tuple[Law | None, list[Fault]]:
     """Return a law of parameters that are right one by one; or None, and what is wrong with them.
 
     Parameters
@@ -182,7 +193,7 @@ def make_law(
     try:
         return kind.from_values(values), []
     except InputError as error:
-        return None, [f"{table}.{fault}" for fault in error.faults]
+        return None, [Fault(f"{table}.{fault}", table, fault.code) for fault in error.faults]
 
 
 def _rule(path: str) -> str:

@@ -15,12 +15,11 @@ from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import (
     parse_toml,
     parse_value,
     read_text,
-    refuse_depth,
     shortened,
     toml_value,
 )
@@ -45,7 +44,7 @@ def naming(prefix: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{prefix} {fault}" for fault in error.faults)) from error
+        raise InputError(*(f.reworded(f"{prefix} {f}") for f in error.faults)) from error
 
 
 def read_keys(text: str, name: str = "case") -> dict[str, Any]:
@@ -85,7 +84,8 @@ def base_keys(
             try:
                 text = read_text(path)
             except InputError as error:
-                faults.append(f"{name}: case = {shortened(base)}: {error}")
+                sentence = f"{name}: case = {shortened(base)}: {error}"
+                faults.append(Fault(sentence, "case", error.faults[0].code))
                 return None
             keys = read_keys(text, str(path))
             with naming(f"{path}:"):
@@ -94,7 +94,8 @@ def base_keys(
         faults += error.faults
         return None
     state = "is missing" if base is None else f"= {shortened(base)}"
-    faults.append(f"{name}: case {state}: must be the name of a case file, relative to this one")
+    sentence = f"{name}: case {state}: must be the name of a case file, relative to this one"
+    faults.append(Fault(sentence, "case", "missing" if base is None else "not_allowed"))
     return None
 
 
@@ -160,10 +161,23 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
         if not equals or not path.strip():
             faults.append(f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50")
             continue
-        values[path.strip()] = parse_value(text)
+        path, value = path.strip(), parse_value(text)
+        is_text = path in BY_PATH and BY_PATH[path].kind == "text"
+        values[path] = text.strip() if is_text and not isinstance(value, str) else value
     if faults:
         raise InputError(*faults)
     return values
+
+
+def changed_keys(changes: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the dotted keys of changes, of which a table takes the place of the one before.
+
+    Raises
+    ------
+    InputError : see ``flatten``.
+    """
+    tables = [p for p, value in changes.items() if isinstance(value, Mapping) and p not in BY_PATH]
+    return {**dict.fromkeys(tables), **flatten(changes, name)}
 
 
 def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -171,15 +185,15 @@ def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : a key is given twice, or values are nested too deeply.
+    InputError : a key is given twice.
     """
-    refuse_depth(tables, name)
     flat: dict[str, Any] = {}
     twice = []
     for path, value in _entries(tables, ""):
         if path in flat:
             name_text = legible(path)
-            twice.append(f"{name}: {name_text}: is given twice, in a table and by its dotted name")
+            sentence = f"{name}: {name_text}: is given twice, in a table and by its dotted name"
+            twice.append(Fault(sentence, path, "conflict"))
         flat[path] = value
     if twice:
         raise InputError(*twice)
@@ -219,10 +233,9 @@ def source_tables(
 
     Raises
     ------
-    InputError : it cannot be read, or is nested too deeply.
+    InputError : it cannot be read.
     """
     if isinstance(source, Mapping):
-        refuse_depth(source, name)
         tables = plain(source)
         text = "".join(
             f"{toml_value(key)} = {toml_value(value)}\n" for key, value in tables.items()
@@ -285,7 +298,8 @@ def _face_in_full(path: str, shape: dict[str, Any], folder: Path) -> dict[str, A
         try:
             return {"trace": read_trace(folder / file)}
         except InputError as error:
-            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+            faults = (Fault(f"{path}: {fault}", path, fault.code) for fault in error.faults)
+            raise InputError(*faults) from error
     try:
         return {name: BY_PATH[path].without_units(value, name) for name, value in shape.items()}
     except RejectedError:

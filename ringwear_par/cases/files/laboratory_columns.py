@@ -14,7 +14,7 @@ from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.units import bare_name, factor, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, unused_columns
 from ringwear_par.files.table_text import EMPTY, NUMBER
 from ringwear_par.files.text import parse_value, shortened
@@ -145,16 +145,18 @@ def _column(
             hint = f', or tests.units."{role}" must be given'
             unit = unit_by_name(table.column(place), name, base, hint)
     except RejectedError:
-        faults.append(f"units.{role} = {shortened(unit)}: must be a unit of {base}")
+        sentence = f"units.{role} = {shortened(unit)}: must be a unit of {base}"
+        faults.append(Fault(sentence, code="unit"))
         return None
     except InputError as error:
         faults += error.faults
         return None
     if unit is None and not (role == name and key_of(role)):
-        faults.append(
+        sentence = (
             f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / {base}, "
             f"or tests.units must have {role}"
         )
+        faults.append(Fault(sentence, code="unit"))
         return None
     kind, _, body = role.partition(".")
     if kind not in MASSES:

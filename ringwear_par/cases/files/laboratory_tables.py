@@ -63,7 +63,7 @@ def laboratory_tests(
     if has_unit(sd):
         reader.read("sd")
     elif sd is not None:
-        reader.wrong("sd", 'must be a number > 0 with its unit, such as "0.1 mg"')
+        reader.wrong("sd", 'must be a number > 0 with its unit, such as "0.1 mg"', "unit")
     reader.finish()
     if not readable:
         return {}
@@ -73,7 +73,7 @@ def laboratory_tests(
         table = files.read(file, read_measurements, labelled=True, skip=skip).without(drop)
     except InputError as error:
         for fault in error.faults:
-            reader.fault(fault)
+            reader.fault(fault, "file")
         return {}
     in_table: list[str] = []
     columns = columns_of(table, names, units, worn, in_table)
@@ -92,8 +92,8 @@ def laboratory_tests(
     if worn and not in_table:
         name_unused(table, columns, templates, in_table)
         name_thousands(table, columns)
-    for fault in dict.fromkeys(in_table):  # of a column it is that of each row
-        reader.fault(fault)
+    for sentence in dict.fromkeys(in_table):  # of a column it is that of each row
+        reader.fault(sentence, "file")
     # the other faults of its tests may follow from those
     return {} if in_table or wrong_keys else tests
 
@@ -109,7 +109,9 @@ def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
         if role not in roles and role.partition(".")[0] not in MASSES and key_of(role) is None:
             reader.fault(
                 f"{key}.{legible(role)}: must be {', '.join(roles)}, a mass with its body "
-                "(loss.lower) or a key of a case"
+                "(loss.lower) or a key of a case",
+                key,
+                "unknown_key",
             )
     return table
 

@@ -25,6 +25,7 @@ from ringwear_par.cases.files.faults import (
 )
 from ringwear_par.cases.files.key_values import read_law, read_values
 from ringwear_par.cases.files.keys import (
+    changed_keys,
     flatten,
     in_full,
     keys_with_units,
@@ -57,8 +58,8 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
     source : the name of a case file, or its tables as a dict: nested, or with dotted keys. Files
         that it names are looked for in the folder of the case file, or the current one.
     overrides : dotted keys and values, as a dict or as "KEY=VALUE" texts; files that they name are
-        looked for in the current folder. None takes a key or a table away. See ``override`` for
-        their rules.
+        looked for in the current folder. A table takes the place of the one before; None takes a
+        key or a table away. See ``override`` for their rules.
 
     Returns
     -------
@@ -110,9 +111,9 @@ def _changed(
 ) -> Case:
     """Make a case of dotted keys and overrides; ``with_units``: which of these keys had units."""
     if isinstance(overrides, Mapping):
-        setting, changes = "override", flatten(overrides, "overrides")
+        setting, changes = "override", changed_keys(overrides, "overrides")
     else:
-        setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
+        setting, changes = "--set", changed_keys(parse_overrides(overrides), "--set")
     if not changes:
         return make_case(keys, name, text, with_units)
     with naming(setting):

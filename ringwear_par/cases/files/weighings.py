@@ -13,7 +13,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.columns import unit_by_name
 from ringwear_par.cases.units import bare_name, factor, unit_of_column
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements, unused_columns
 from ringwear_par.files.table_text import EMPTY
 
@@ -227,7 +227,8 @@ def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, flo
             faults += error.faults
             continue
         if unit is None:
-            faults.append(f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / g")
+            sentence = f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / g"
+            faults.append(Fault(sentence, code="unit"))
             continue
         columns[place] = role, factor(unit, "g")
     kinds_read = {kind for kind, _ in columns.values()}

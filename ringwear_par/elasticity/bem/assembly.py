@@ -9,14 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.elasticity.bem.boundary import BoundaryMesh, boundary_mesh
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.quadrature import Quadrature, quadrature
 from ringwear_par.elasticity.bem.systems import (
     SYSTEMS,
     Assembly,
     BoundaryConditions,
     DofMap,
-    Moving,
     Rows,
     Zone,
     number_dofs,
@@ -58,8 +57,6 @@ def assemble(
     dofs: Sequence[DofMap],
     rules: Quadrature,
     comm: MPI.Comm,
-    moving: Sequence[Moving] = (),
-    base: Assembly | None = None,
 ) -> Assembly:
     """Assemble this rank's rows of both systems at modulus 1 of the body itself.
 
@@ -69,9 +66,6 @@ def assemble(
     Parameters
     ----------
     dofs : of ``number_dofs``, one a zone.
-    moving : what moves of each zone, if only a part is to be assembled: what stays, or with
-        ``base`` what moves.
-    base : the part that stays, to a copy of which the other is added.
 
     Raises
     ------
@@ -79,8 +73,6 @@ def assemble(
     """
     from ringwear_par.elasticity.bem.rows import MAX_PARTS, assemble_rows
 
-    moved = base is not None or not moving
-    moving = moving or [_all_moving(zone.boundary) for zone in zones]
     first = np.cumsum([0, *(len(zone.boundary.nodes) for zone in zones)])
     begin, end = (rank * int(first[-1]) // comm.size for rank in (comm.rank, comm.rank + 1))
     # number of the first row of each node in the (r, z) and in the theta system
@@ -99,26 +91,19 @@ def assemble(
             arrays, widths, row[:, begin], row[:, first[:-1]], strict=True
         )
     )
-    if base is not None:
-        for system, still in ((normal, base.normal), (torsion, base.torsion)):
-            system.matrix[:], system.loads[:] = still.matrix, still.loads
     evaluations = 0
     with together(comm):
-        for zone, numbers, parts, start, stop in zip(
-            zones, dofs, moving, first[:-1].tolist(), first[1:].tolist(), strict=True
+        for zone, numbers, start, stop in zip(
+            zones, dofs, first[:-1].tolist(), first[1:].tolist(), strict=True
         ):
             if max(begin, start) >= min(end, stop):
                 continue
             done = assemble_rows(
                 max(begin, start) - start, min(end, stop) - start, zone.boundary, zone.conditions,
-                numbers, parts, moved, zone.material.young, zone.material.poisson, rules,
-                row[:, begin], widths, (arrays[0].T, arrays[1].T), MAX_PARTS,
+                numbers, zone.material.young, zone.material.poisson, rules, row[:, begin], widths,
+                (arrays[0].T, arrays[1].T), MAX_PARTS,
             )  # fmt: skip
             if done < 0:
                 raise ComputationError(TOO_CLOSE)
             evaluations += done
     return Assembly(normal, torsion, evaluations)
-
-
-def _all_moving(boundary: BoundaryMesh) -> Moving:
-    return Moving(np.ones(len(boundary.nodes), bool), np.ones(len(boundary.elements), bool))

@@ -19,7 +19,6 @@ from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.solve import Solution, solve_systems, solved_on_one_rank
 from ringwear_par.elasticity.bem.systems import (
-    Assembly,
     BoundaryConditions,
     DofMap,
     Zone,
@@ -119,20 +118,6 @@ class BoundaryProblem:
     elements: tuple[IntArray, ...]
 
 
-@dataclass(frozen=True)
-class Assembled:
-    """The assembled systems of a body."""
-
-    #: this rank's part of them
-    rows: Assembly
-    #: of which they are
-    problem: BoundaryProblem
-    #: where its unknowns stand, one a zone
-    dofs: Sequence[DofMap]
-    #: wall time of the assembly
-    seconds: float
-
-
 def solve_body(
     boundary: BoundaryMesh,
     conditions: BoundaryConditions,
@@ -156,46 +141,48 @@ def solve_bodies(problems: Sequence[BoundaryProblem], comm: MPI.Comm) -> list[Re
         2 * sum(len(zone.boundary.nodes) for zone in problem.zones) for problem in problems
     )
     if comm.size > 1 and solved_on_one_rank(largest, comm.size):
-        return solve_assembled([_assembled(problem, comm) for problem in problems], comm)
+        return _solve(problems, comm)
     # one after another: not all in memory
-    return [solve_assembled([_assembled(problem, comm)], comm)[0] for problem in problems]
+    return [_solve([problem], comm)[0] for problem in problems]
 
 
-def _assembled(problem: BoundaryProblem, comm: MPI.Comm) -> Assembled:
+def _solve(problems: Sequence[BoundaryProblem], comm: MPI.Comm) -> list[Response]:
+    """Assemble the systems of bodies, then solve them. Collective on comm."""
     started = time.perf_counter()
-    dofs = number_dofs(problem.zones)
-    rows = assemble(problem.zones, dofs, quadrature(problem.tolerance), comm)
-    return Assembled(rows, problem, dofs, time.perf_counter() - started)
-
-
-def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Response]:
-    """Solve the assembled systems of bodies. Collective on comm."""
-    started = time.perf_counter()
-    solutions = solve_systems(
-        [system for body in bodies for system in (body.rows.normal, body.rows.torsion)], comm
-    )
-    values = [
-        _wanted(body, solutions[2 * i], solutions[2 * i + 1], comm) for i, body in enumerate(bodies)
+    dofs = [number_dofs(problem.zones) for problem in problems]
+    bodies = [
+        assemble(problem.zones, numbers, quadrature(problem.tolerance), comm)
+        for problem, numbers in zip(problems, dofs, strict=True)
     ]
-    evaluations = [comm.allreduce(body.rows.kernel_evaluations) for body in bodies]
-    seconds = (time.perf_counter() - started) / len(bodies)
+    assembled = time.perf_counter()
+    solutions = solve_systems([s for body in bodies for s in (body.normal, body.torsion)], comm)
+    values = [
+        _wanted(problem, numbers, solutions[2 * i], solutions[2 * i + 1], comm)
+        for i, (problem, numbers) in enumerate(zip(problems, dofs, strict=True))
+    ]
+    evaluations = [comm.allreduce(body.kernel_evaluations) for body in bodies]
+    seconds = (time.perf_counter() - assembled) / len(bodies)
     return [
-        Response(*response, BodyCost(count, body.seconds, seconds))
-        for body, response, count in zip(bodies, values, evaluations, strict=True)
+        Response(*response, BodyCost(count, (assembled - started) / len(bodies), seconds))
+        for response, count in zip(values, evaluations, strict=True)
     ]
 
 
 def _wanted(
-    body: Assembled, normal: Solution, torsion: Solution, comm: MPI.Comm
+    problem: BoundaryProblem,
+    numbers: Sequence[DofMap],
+    normal: Solution,
+    torsion: Solution,
+    comm: MPI.Comm,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the displacements and tractions that a problem asks for. Collective on comm."""
-    nodes, elements = body.problem.nodes, body.problem.elements
+    nodes, elements = problem.nodes, problem.elements
     columns = [
-        np.concatenate([dofs.displacement[at] for dofs, at in zip(body.dofs, nodes, strict=True)]),
-        np.concatenate([dofs.traction[at] for dofs, at in zip(body.dofs, elements, strict=True)]),
+        np.concatenate([dofs.displacement[at] for dofs, at in zip(numbers, nodes, strict=True)]),
+        np.concatenate([dofs.traction[at] for dofs, at in zip(numbers, elements, strict=True)]),
     ]
-    sign = np.concatenate([dofs.sign[at] for dofs, at in zip(body.dofs, elements, strict=True)])
-    n_loads = body.rows.normal.loads.shape[1]
+    sign = np.concatenate([dofs.sign[at] for dofs, at in zip(numbers, elements, strict=True)])
+    n_loads = problem.zones[0].conditions.n_loads
     displacement, traction = (np.zeros((*dofs.shape, n_loads)) for dofs in columns)
     for c, (x, start) in enumerate((normal, normal, torsion)):
         for target, dofs in zip((displacement, traction), columns, strict=True):
@@ -296,8 +283,7 @@ def compliance(
 
     Collective on comm. ``worn`` is that of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
     """
-    problem = contact_problem(body, line, mesh, worn, slope)
-    return condense(problem, solve_bodies([problem], comm)[0], slope)
+    return compliances([body], line, mesh, comm, [slope], [worn])[0]
 
 
 def compliances(
@@ -305,17 +291,18 @@ def compliances(
     line: ContactLine,
     mesh: Mesh,
     comm: MPI.Comm,
-    slopes: Sequence[FloatArray],
+    slopes: Sequence[FloatArray | None],
+    worn: Sequence[FloatArray | None],
 ) -> list[Compliance]:
-    """Return the compliances of unworn bodies, as ``compliance`` does of one. Collective on comm.
+    """Return the compliances of bodies, as ``compliance`` does of one. Collective on comm.
 
     Ranks share their systems.
     """
     problems = [
-        contact_problem(body, line, mesh, None, slope)
-        for body, slope in zip(bodies, slopes, strict=True)
+        contact_problem(body, line, mesh, wear, slope)
+        for body, wear, slope in zip(bodies, worn, slopes, strict=True)
     ]
-    responses = solve_bodies(problems, comm)
+    responses = solve_bodies(problems, comm) if problems else []
     return [
         condense(problem, response, slope)
         for problem, response, slope in zip(problems, responses, slopes, strict=True)

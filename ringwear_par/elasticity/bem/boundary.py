@@ -211,7 +211,7 @@ def _side(
     """Return n+1 element ends of a side face, upwards, between heights unmoved and moved by wear.
 
     Where but the upper end has moved, and by less than half of the face, the lower half stays where
-    it is, so that its elements need not be integrated again.
+    it is.
     """
     (low, high), (below, above) = unmoved, moved
     z = graded(low, high, n, CORNER_GRADING, CORNER_GRADING)

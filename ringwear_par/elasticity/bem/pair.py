@@ -261,7 +261,7 @@ def assemble_pair(
     """
     lower, upper = bodies
     slope = pair_slope((lower.section, upper.section), line, mesh)
-    matrices = compliances(bodies, line, mesh, comm, (slope, -slope))
+    matrices = compliances(bodies, line, mesh, comm, (slope, -slope), (None, None))
     key = pair_key(bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
     return join_bodies(line, matrices, slope, key, matrices)
 

@@ -20,7 +20,7 @@ from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import TILE, TILE_ROWS, fill_tile
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
-from ringwear_par.elasticity.bem.systems import BoundaryConditions, DofMap, Moving
+from ringwear_par.elasticity.bem.systems import BoundaryConditions, DofMap
 
 Pair = tuple[FloatArray, FloatArray]
 Shapes = tuple[float, float, float]
@@ -439,8 +439,6 @@ def assemble_rows(
     boundary: BoundaryMesh,
     conditions: BoundaryConditions,
     dofs: DofMap,
-    moving: Moving,
-    moved: bool,
     young: float,
     poisson: float,
     rules: Quadrature,
@@ -453,11 +451,9 @@ def assemble_rows(
 
     -1: an element would have to be cut in more parts than may wait.
 
-    The integrals added are those that move with the geometry, or those that do not.
-
     Parameters
     ----------
-    boundary : BoundaryMesh, and further BoundaryConditions, DofMap, Moving.
+    boundary : BoundaryMesh, and further BoundaryConditions, DofMap.
     young : modulus over the one that tractions are scaled with.
     rules : Quadrature.
     starts : (2,) int, number of the first row of each matrix.
@@ -474,51 +470,45 @@ def assemble_rows(
     sums, entries, factors = work.sums, np.empty((3, 25), dtype=np.int64), np.empty(25)
     normal, torsion = matrices
     evaluations = 0
-    for element_moves in (False, True):
-        nodes = np.array([
-            p for p in range(first_node, last_node)
-            if (moving.nodes[p] or element_moves) == moved and dofs.equation[p].max() >= 0
-        ])  # fmt: skip
-        if len(nodes) == 0:
-            continue
-        sources, points = _sources(nodes, boundary, dofs, starts), np.empty_like(nodes)
-        for e in range(len(elements)):
-            if moving.elements[e] != element_moves:
-                continue
-            line, ends = lines[:, e].copy(), boundary.nodes[elements[e]]
-            middle, last = _list_entries(
-                e, elements, conditions, dofs, 1.0 / young, widths, entries, factors
-            )
-            _count_points(sources, line, rules.reach, points)
-            first = 0
-            while first < len(nodes):
-                if points[first] > MAX_POINTS:
-                    local = int(np.int64(-1))
-                    for c in range(3):
-                        if elements[e, c] == nodes[first]:
-                            local = c
-                    added = _integrate_alone(work, sources, first, line, local, rules, poisson)
-                    if added < 0:
-                        return -1
-                    runs[0, 0], runs[0, 1], n_runs = 1, 0, 1
-                else:
-                    added, n_runs = _fill_runs(work, runs, sources, first, points, line, rules)
-                    fill_tile(work.tile, whole_vectors(added), line[5], line[6], poisson)
-                evaluations += added
-                start = 0
-                for run in range(n_runs):
-                    count, n = runs[run, 0], runs[run, 1]
-                    if n > 0:
-                        t, weights = rules.points[n, :n], rules.weights[n, :n]
-                        _add_points(work.tile, start, sums, count, line[4], t, weights)
-                    _add_rigid(sums, sources, first, count, ends, thinner, star_r[e])
-                    _scatter(sums, sources.rows, first, count, entries[:, :middle], factors, normal)
-                    _scatter(
-                        sums, sources.rows, first, count, entries[:, middle:last],
-                        factors[middle:], torsion,
-                    )  # fmt: skip
-                    first += count
-                    start += n * count
-        for s in range(len(nodes)):
-            _write_rigid(sources, s, dofs.displacement[nodes[s]], matrices)
+    nodes = np.array([p for p in range(first_node, last_node) if dofs.equation[p].max() >= 0])
+    if len(nodes) == 0:
+        return 0
+    sources, points = _sources(nodes, boundary, dofs, starts), np.empty_like(nodes)
+    for e in range(len(elements)):
+        line, ends = lines[:, e].copy(), boundary.nodes[elements[e]]
+        middle, last = _list_entries(
+            e, elements, conditions, dofs, 1.0 / young, widths, entries, factors
+        )
+        _count_points(sources, line, rules.reach, points)
+        first = 0
+        while first < len(nodes):
+            if points[first] > MAX_POINTS:
+                local = int(np.int64(-1))
+                for c in range(3):
+                    if elements[e, c] == nodes[first]:
+                        local = c
+                added = _integrate_alone(work, sources, first, line, local, rules, poisson)
+                if added < 0:
+                    return -1
+                runs[0, 0], runs[0, 1], n_runs = 1, 0, 1
+            else:
+                added, n_runs = _fill_runs(work, runs, sources, first, points, line, rules)
+                fill_tile(work.tile, whole_vectors(added), line[5], line[6], poisson)
+            evaluations += added
+            start = 0
+            for run in range(n_runs):
+                count, n = runs[run, 0], runs[run, 1]
+                if n > 0:
+                    t, weights = rules.points[n, :n], rules.weights[n, :n]
+                    _add_points(work.tile, start, sums, count, line[4], t, weights)
+                _add_rigid(sums, sources, first, count, ends, thinner, star_r[e])
+                _scatter(sums, sources.rows, first, count, entries[:, :middle], factors, normal)
+                _scatter(
+                    sums, sources.rows, first, count, entries[:, middle:last],
+                    factors[middle:], torsion,
+                )  # fmt: skip
+                first += count
+                start += n * count
+    for s in range(len(nodes)):
+        _write_rigid(sources, s, dofs.displacement[nodes[s]], matrices)
     return evaluations

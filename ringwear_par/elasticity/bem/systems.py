@@ -67,18 +67,6 @@ class Zone:
     material: Material
 
 
-class Moving(NamedTuple):
-    """What moves when the geometry changes.
-
-    The integrals of a source over an element stay as they are where neither of them moves.
-    """
-
-    #: (m,) bool
-    nodes: BoolArray
-    #: (k,) bool, those with a node that moves
-    elements: BoolArray
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows of one system owned by this rank: ``matrix @ unknowns = loads``."""

@@ -113,14 +113,12 @@ class WorstBalances:
     def restore(
         self,
         before: Balances,
-        step_error_time: float,
         closing_contact: bool,
         reaction_time: float,
     ) -> None:
         """Take the balances of an interrupted single history; times are in s."""
         self._worst[:, 0] = [getattr(before, name) for name in _NAMES]
         self._times[:, 0] = reaction_time
-        self._times[_NAMES.index("step_error"), 0] = step_error_time
         self.closing_contact[0] = closing_contact
 
     def __call__(self, snapshot: Snapshot) -> bool:
@@ -145,11 +143,6 @@ class WorstBalances:
     def history(self, number: int = 0) -> Balances:
         """Return the worst balances of one history."""
         return Balances(*self._worst[:, number].tolist())
-
-    @property
-    def step_error_time(self) -> FloatArray:
-        """(B,) s, end of the step at which ``step_error`` is the largest."""
-        return self._times[_NAMES.index("step_error")]
 
     def reactions(self, numbers: IntArray) -> tuple[float, float]:
         """Return the worst ``torque`` or ``reaction`` of some histories, and its time, s."""

@@ -25,17 +25,14 @@ _SMALLEST_GRID = 4
 def memory_needed(case: Case, ranks: int) -> float:
     """Return an estimate of the bytes that a run needs on all ranks together.
 
-    Those are: the systems of the boundary elements; where elements follow the wear, the parts of
-    the matrices of each wearing body that stay; on every rank the compliance and its copies, and
-    the responses of whole boundaries where the case stores their fields; on one rank the history.
+    Those are: the systems of the boundary elements; on every rank the compliance and its copies,
+    and the responses of whole boundaries where the case stores their fields; on one rank the
+    history.
     """
     n = float(case.mesh.contact_elements)
     elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
     # two at each of two nodes an element; on the fixed face, n/2 elements, at one
     unknowns = 4.0 * elements - n
-    moving = 0.0
-    if case.mesh.geometry == "updated":
-        moving = 1.25 * sum(law is not None for law in case.laws)
     history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
     if case.output.boundary != "none":
         # displacements of two nodes an element and its traction, of both bodies and n loads
@@ -51,7 +48,7 @@ def memory_needed(case: Case, ranks: int) -> float:
         history += 2.0 * stored_at
     else:
         systems_of_stress = 0.0
-    systems = _numbers_of_systems(unknowns, n, ranks) + moving * unknowns**2
+    systems = _numbers_of_systems(unknowns, n, ranks)
     return 8.0 * (systems + systems_of_stress + ranks * shared + history)
 
 

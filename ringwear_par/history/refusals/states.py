@@ -3,7 +3,9 @@
 import numpy as np
 
 from ringwear_par.arrays import largest
+from ringwear_par.cases.plausible import wear_question
 from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.inputs import HistoryInputs, of_faces
 from ringwear_par.history.physics import Physics
@@ -59,10 +61,10 @@ def check_state(inputs: HistoryInputs, state: State) -> State:
     if len(off) > 1:
         raise HistoriesError(off)
     if too_deep[0]:
-        body = int(deepest[0, 0] <= most[0])
+        body = BODIES[int(deepest[0, 0] <= most[0])]
         raise ComputationError(
-            f"time {state.time[0]:g} s: {deepest.max():.4g} mm are worn off "
-            f"{('lower', 'upper')[body]}, more than half of its height"
+            f"time {state.time[0]:g} s: {deepest.max():.4g} mm are worn off {body}, more than half "
+            f"of its height{wear_question(case, body)}"
         )
     e = next(e for e in open_ends if state.contact.pressure[0, e] > 0.0)
     raise ComputationError(

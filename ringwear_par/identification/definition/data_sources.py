@@ -26,9 +26,9 @@ from ringwear_par.cases.units import (
     unit_of_column,
 )
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
-from ringwear_par.files.table_text import has_hours
+from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem, Series
 from ringwear_par.identification.definition.schema import SD
@@ -73,7 +73,9 @@ def read_readings(
     if single_key and where in reader:
         reader.raw(where)
         reader.wrong(
-            where, f"must be absent beside {single_key}; it is for readings that are planned"
+            where,
+            f"must be absent beside {single_key}; it is for readings that are planned",
+            "conflict",
         )
     if "file" in reader and kind != "through":
         return _from_file(reader, kind, end, files)
@@ -89,7 +91,7 @@ def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
         try:
             scale: float | None = factor(unit, base)
         except RejectedError:
-            reader.wrong("value", f"must be in the unit of {UNITS[base]}")
+            reader.wrong("value", f"must be in the unit of {UNITS[base]}", "unit")
             return None
     elif isinstance(written, str) and "unit" not in reader:  # no number, with a unit or without
         reader.read("value")
@@ -143,7 +145,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     for key in ("value", "unit"):
         if key in reader:
             reader.raw(key)
-            reader.wrong(key, "must be absent beside file")
+            reader.wrong(key, "must be absent beside file", "conflict")
     roles = ("r" if kind == "profile" else "time", "value")
     columns, units = (read_texts(reader, key, roles) for key in ("columns", "units"))
     if columns is None or units is None or name is None:
@@ -152,7 +154,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         data = files(name, skip, drop)
     except InputError as error:
         for fault in error.faults:
-            reader.fault(fault)
+            reader.fault(fault, "file")
         return None
     column_names, units_by_role, factors = {}, {}, {}
     assumed: list[str] = []  # roles
@@ -160,8 +162,8 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         columns = dict(zip(roles, data.columns, strict=True))
     for role in roles:
         column = columns.get(role, role)
-        if fault := missing_column(data, column, role):
-            reader.fault(fault)
+        if missing := missing_column(data, column, role):
+            reader.fault(missing, "columns")
             continue
         base = BASE[kind if role == "value" else role]
         try:
@@ -169,7 +171,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
             unit = units.get(role) or unit_by_name(data, column, base, hint) or ""
         except InputError as error:
             for fault in error.faults:
-                reader.fault(fault)
+                reader.fault(fault, "units")
             continue
         if not unit:
             unit = base
@@ -180,7 +182,9 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         if named := _other_unit(data.label(column), unit):
             reader.fault(
                 f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
-                f"in {named} by its name; must be the same unit"
+                f"in {named} by its name; must be the same unit",
+                "units",
+                "unit",
             )
         column_names[role], units_by_role[role], factors[role] = column, unit, scale
     if len(column_names) < len(roles):
@@ -191,7 +195,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
     doubts: list[str] = []
-    if hour is not None and len(x) and has_hours(data.first_cell(column_names["time"])):
+    if hour is not None and len(x) and is_clock(data.first_cell(column_names["time"])):
         first = legible(data.first_cell(column_names["time"]))
         if x[0] > end:
             x = x - x[0]
@@ -228,7 +232,7 @@ def _column(
         return data.numbers(name, rows, hour)
     except InputError as error:
         for fault in error.faults:
-            reader.fault(fault)
+            reader.fault(fault, "file")
         return np.full(int(rows.sum()), np.nan)
 
 
@@ -237,7 +241,7 @@ def _unit_factor(reader: TableReader, key: str, unit: str, base: str) -> float |
         return factor(unit, base)
     except RejectedError:
         state = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {state}: must be the unit of {UNITS[base]}")
+        reader.fault(f"{key} {state}: must be the unit of {UNITS[base]}", key, "unit")
         return None
 
 
@@ -300,6 +304,7 @@ def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArr
         reader.wrong(
             "sd",
             f"the column is in {named} by its name; must be in {series.unit}, as the readings",
+            "unit",
         )
         return unknown
     filled = data.filled(column)[rows]
@@ -367,8 +372,9 @@ def check_censored(problem: Problem, faults: list[str]) -> None:
                     series.sd_fitted and series.censored.all(),
                 'must be absent with intervals = ["posterior"]': "posterior" in settings.intervals,
             }  # fmt: skip
+            place = f'{name}: experiment "{legible(experiment.name)}": {series.name}'
             faults += [
-                f'{name}: experiment "{legible(experiment.name)}": {series.name}: censored: {rule}'
+                Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
                 for rule, broken in rules.items()
                 if broken
             ]

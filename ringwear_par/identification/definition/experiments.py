@@ -14,7 +14,7 @@ from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import changes_of, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.identification.definition.inputs import (
     input_keys,
@@ -130,7 +130,7 @@ class ExperimentReader:
                 )
             series.append(readings)
         if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
-            reader.fault("torque: is an input; cannot be fitted too")
+            reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
         if case is None:
             return None
         return Experiment(name, case, _named(series), groups, inputs, table)
@@ -159,7 +159,8 @@ class ExperimentReader:
                 self._reported.add(sentence)
             return None
         if case.mesh.geometry == "updated":
-            faults.append(f'{place}: mesh.geometry = "updated": must be "fixed" in a fit')
+            sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
+            faults.append(Fault(sentence, "mesh.geometry", "conflict"))
             return None
         refuse_unfit(place, parameters, case, faults)
         return case
@@ -168,7 +169,8 @@ class ExperimentReader:
         """Refuse an experiment with the name or the readings of an earlier one."""
         place = f'{self._name}: experiment "{legible(experiment.name)}"'
         if experiment.name == earlier.name:
-            faults.append(f"{place}: is there twice; names must differ")
+            sentence = f"{place}: is there twice; names must differ"
+            faults.append(Fault(sentence, "experiment.name", "conflict"))
             return
         for series in experiment.series:
             if any(_same_readings(series, twin) for twin in earlier.series):

@@ -19,7 +19,7 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import check_censored
@@ -130,7 +130,8 @@ def experiment_tables(
     written = file.get("experiment", [] if "tests" in file else None)
     if not isinstance(written, list) or not (written or "tests" in file):
         state = "is missing" if written is None else f"= {shortened(written)}"
-        faults.append(f"{name}: experiment {state}: must be tables, [[experiment]]")
+        sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
+        faults.append(Fault(sentence, "experiment", "missing" if written is None else None))
         return []
     tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
     if "tests" not in file:
@@ -146,7 +147,7 @@ def _said_once(faults: Sequence[str]) -> list[str]:
         row = _ROW.match(fault)
         rows.setdefault(fault[row.end() :] if row else fault, []).append(fault)
     return [
-        first + f" (so in {len(repeats) + 1} tests)" * bool(repeats)
+        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
         for first, *repeats in rows.values()
     ]
 
@@ -196,7 +197,9 @@ def _read_design_space(
         vary.fault("load.pressure and load.force: only one of them may vary")
     if "load.steps" in ranges and not any(key in ranges for key in _LOADS):
         vary.wrong(
-            "load.steps", "needs load.pressure or load.force beside it, the range of the loads"
+            "load.steps",
+            "needs load.pressure or load.force beside it, the range of the loads",
+            "conflict",
         )
     limits = TableReader(f"{place}.budget", budget, faults, schema.BUDGET)
     seconds, count = limits.read("time.end"), limits.read("experiments")
@@ -209,7 +212,8 @@ def _read_alternatives(
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
     laws = {}
     if not isinstance(table, Mapping):
-        faults.append(f"{place} = {shortened(table)}: must be a table")
+        sentence = f"{place} = {shortened(table)}: must be a table"
+        faults.append(Fault(sentence, "compare", "not_allowed"))
         return {}
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)

@@ -13,7 +13,7 @@ from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.errors import MOST_FAULTS, Fault, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
@@ -38,7 +38,8 @@ def read_parameters(
     case.
     """
     if not isinstance(table, Mapping) or not table:
-        faults.append(f"{place}: is missing or empty; must name one case key at least")
+        sentence = f"{place}: is missing or empty; must name one case key at least"
+        faults.append(Fault(sentence, "fit.parameters", "missing"))
         return ()
     parameters = []
     for key, entry in unnested(table, PARAMETER.keys()).items():
@@ -60,11 +61,12 @@ def _is_other(unit: str, key: str) -> bool:
 def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
     """Return the units in which fitted keys are reported, as ``fit.units`` names them."""
     if not isinstance(table, Mapping):
-        faults.append(f"{place} = {shortened(table)}: must be a table of units by fitted key")
+        sentence = f"{place} = {shortened(table)}: must be a table of units by fitted key"
+        faults.append(Fault(sentence, "fit.units", "not_allowed"))
         return {}
     fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
     units = unnested(table, set())
-    name_unknown_keys(place, units, list(fitted), faults, "is not fitted")
+    name_unknown_keys(place, units, list(fitted), faults, "is not fitted", "fit.units")
     for key, unit in units.items():
         if key not in fitted:
             continue
@@ -74,7 +76,8 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
             base = base_unit(key) or "a parameter"
             example = f', such as "{_EXAMPLES[base]}"' if base in _EXAMPLES else ""
             state = f'{place}."{legible(key)}" = {shortened(unit)}'
-            faults.append(f"{state}: must be a unit of {base}{example}")
+            sentence = f"{state}: must be a unit of {base}{example}"
+            faults.append(Fault(sentence, f"fit.units.{key}", "unit"))
     return units
 
 
@@ -89,11 +92,12 @@ def _parameter(
         near = ""
         if path not in BY_PATH and len(faults) < MOST_FAULTS:
             near = nearest_key(path)
-        faults.append(
+        sentence = (
             f"{place}: cannot be fitted{near}; must be a number of a wear law, "
             "contact.friction, a load, load.omega, a modulus, or a layer's thickness or "
             "Poisson's ratio"
         )
+        faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
     before = len(faults)
     scatter = None
@@ -109,7 +113,8 @@ def _parameter(
                 converted[name] = in_unit(value, unit)
             except RejectedError as reason:
                 allowed_unit = f"must be in {unit} ({reason})" if unit else f"{reason}"
-                faults.append(f"{place}: {name} = {shortened(value)}: {allowed_unit}")
+                sentence = f"{place}: {name} = {shortened(value)}: {allowed_unit}"
+                faults.append(Fault(sentence, f"fit.parameters.{key}.{name}", "unit"))
         if len(converted) < len(table.keys() - {"scatter"}):
             return None
         if not named_unit and has_unit(table.get("start")):

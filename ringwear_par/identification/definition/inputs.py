@@ -10,6 +10,7 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
+from ringwear_par.errors import Fault
 from ringwear_par.files.measurements import and_more
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.data_sources import lines_of, read_readings
@@ -83,7 +84,8 @@ def read_inputs(
     was measured.
     """
     if not isinstance(tables, list):
-        faults.append(f"{place}: input: must be tables, [[experiment.input]]")
+        sentence = f"{place}: input: must be tables, [[experiment.input]]"
+        faults.append(Fault(sentence, "experiment.input", "not_allowed"))
         return (), {}
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)
@@ -131,7 +133,9 @@ def _input(
         return None
     is_friction = key == "contact.friction"
     if is_friction != (quantity == "torque") and "quantity" in reader:
-        reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
+        reader.wrong(
+            "quantity", "must be absent: a load or a speed is its own quantity", "conflict"
+        )
     elif is_friction and quantity is None:
         reader.wrong("quantity", 'must be "torque"')
     readings = None
@@ -187,7 +191,8 @@ def _check_friction(place: str, entry: MeasuredInput, case: Case, faults: list[s
     """Refuse a torque whose load is not known, or 0."""
     force = case.load.force
     if force is None:
-        faults.append(f'{place}: input ({entry.key}): needs load.control = "force"')
+        sentence = f'{place}: input ({entry.key}): needs load.control = "force"'
+        faults.append(Fault(sentence, "experiment.input.key", "conflict"))
     elif (no_load := np.asarray(in_time(force, entry.series.x)) <= 0.0).any():
         first = entry.series.x[no_load][0]
         faults.append(

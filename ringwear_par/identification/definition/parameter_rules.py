@@ -7,7 +7,7 @@ from typing import Any
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.history.derivatives.keys import differentiable, elastic_numbers
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.studies.definition.variations import split_key
@@ -113,9 +113,8 @@ def refuse_both(
         path = split_key(parameter.key)[0]
         same = {parameter.key, path} | (loads if path in loads else set())
         for key in same & changes.keys():
-            faults.append(
-                f"{place}: {key}: is set, and {parameter.key} is fitted; must be one or the other"
-            )
+            sentence = f"{key}: is set, and {parameter.key} is fitted; must be one or the other"
+            faults.append(Fault(f"{place}: {sentence}", key, "conflict"))
 
 
 def _range(ends: tuple[float, float]) -> str:

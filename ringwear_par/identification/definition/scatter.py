@@ -174,7 +174,7 @@ def read_process(place: str, table: Any, faults: list[str]) -> dict[str, Process
     flat = dict(table)
     if isinstance(nested := flat.pop("wear", None), Mapping):  # written without quotes
         flat |= {f"wear.{body}": value for body, value in nested.items()}
-    name_unknown_keys(place, flat, _RANDOM, faults)
+    name_unknown_keys(place, flat, _RANDOM, faults, table="fit.process")
     entries = {
         key: _read_noise(f"{place}.{key}", flat[key], faults) for key in _RANDOM if key in flat
     }
@@ -191,9 +191,9 @@ def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | Non
     size, share, scale = (reader.read(name) for name in PROCESS)
     reader.finish()
     if len(faults) == before and (size is None) == (share is None):
-        reader.fault("must have one of size and share")
+        reader.fault("must have one of size and share", code="missing")
     if scale is not None and size != "fit":
-        reader.wrong("prior", 'must be absent where the size is not "fit"')
+        reader.wrong("prior", 'must be absent where the size is not "fit"', "conflict")
     if len(faults) > before:
         return None
     known = size if isinstance(size, float) else None

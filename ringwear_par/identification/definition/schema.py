@@ -268,8 +268,8 @@ KEYS: tuple[Key, ...] = (
         "table of readings, relative to this file: a line of column names, perhaps a row of "
         "units, then numbers. Lines above the names, lines that begin with #, and cells that are "
         "empty or nan, n.a., n/a, NA, -, --- are skipped. Times may be dates with times "
-        "(2026-03-14 08:15:00, 14.03.2026 08:15:00) or clock times: h:mm:ss, or min:s (h:min where "
-        "units.time is h)", None),
+        "(2026-03-14 08:15:00, 14.03.2026 08:15:00) or clock times: h:mm:ss, or h:min where "
+        "units.time is h, min:s where it is min", None),
     Key("experiment.data.columns", *_COLUMNS, "-",
         "names of the columns of file; default: time (or r) and value", None),
     Key("experiment.data.units", *_COLUMNS, "-",

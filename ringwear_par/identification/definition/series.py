@@ -72,11 +72,15 @@ def read_series(
     timed = next((key for key in ("file", "times") if key in reader), "")
     if kind == "through":
         if at is not None:
-            reader.wrong("at", "must be absent: value is the time at which the layer is through")
+            reader.wrong(
+                "at", "must be absent: value is the time at which the layer is through", "conflict"
+            )
         if case is not None and not getattr(case, quantity.partition(".")[2]).layers:
             reader.fault(f"{quantity.partition('.')[2]} has no layers; must have one at least")
     if at is not None and timed and kind != "profile":
-        reader.wrong("at", f"must be absent beside {timed}, whose readings have their times")
+        reader.wrong(
+            "at", f"must be absent beside {timed}, whose readings have their times", "conflict"
+        )
     readings = read_readings(reader, kind, at, end, files, plans)
     if readings is None:
         return None
@@ -92,7 +96,9 @@ def read_series(
     nuisances = _nuisances(reader, kind, case)
     correlation = reader.read("correlation_time")
     if correlation > 0 and kind == "profile":
-        reader.wrong("correlation_time", "must be absent for a profile, it is for noise in time")
+        reader.wrong(
+            "correlation_time", "must be absent for a profile, it is for noise in time", "conflict"
+        )
     if correlation > _LONGEST_CORRELATION * end:
         reader.wrong(
             "correlation_time",
@@ -156,7 +162,8 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
     nuisances = []
     for name, entry in table.items():
         if name not in allowed:
-            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(allowed)}")
+            sentence = f"nuisance.{legible(name)}: must be one of {', '.join(allowed)}"
+            reader.fault(sentence, "nuisance", "unknown_key")
             continue
         place = f"{reader.place}: nuisance.{name}"
         if name == "thermal":
@@ -167,7 +174,7 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
         nuisances.append(Nuisance(name, prior, bounds))
         entry_reader.finish()
         if name == "compliance" and case is not None and case.load.force is None:
-            entry_reader.fault('needs load.control = "force"')
+            entry_reader.fault('needs load.control = "force"', code="conflict")
     return tuple(nuisances)
 
 
@@ -180,9 +187,13 @@ def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> lis
     power = reader.read("power")
     if power and case is not None:
         if case.load.force is None:
-            reader.wrong("power", 'needs load.control = "force"')
+            reader.wrong("power", 'needs load.control = "force"', "conflict")
         elif not friction_power(case)[1].any():
-            reader.wrong("power", "needs friction power, mu F omega > 0, at some time of the test")
+            reader.wrong(
+                "power",
+                "needs friction power, mu F omega > 0, at some time of the test",
+                "conflict",
+            )
     time = TableReader(f"{place}.time", reader.raw("time", {}), faults, THERMAL_TIME)
     start, prior, bounds = (time.read(name) for name in ("start", "prior", "bounds"))
     time.finish()
@@ -190,7 +201,7 @@ def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> lis
     if len(faults) > before:
         return []
     if bounds is None and prior is None:
-        time.fault("has neither prior nor bounds; must have one of them at least")
+        time.fault("has neither prior nor bounds; must have one of them at least", code="missing")
         return []
     if prior is not None and prior.mean <= 0.0:
         time.wrong("prior", "must have a mean > 0 (s)")

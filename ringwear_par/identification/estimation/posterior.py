@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files.writing import atomic_write, open_ordinary
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.noise import (
@@ -216,7 +216,7 @@ def _stored_chain(path: Path | None, key: str, shape: tuple[int, int]) -> tuple[
     if path is None:
         return backend, 0
     try:
-        with open_ordinary(path) as opened, np.load(opened) as file:
+        with np.load(path) as file:
             chain = file["chain"]
             if str(file["key"]) != key or chain.shape[1:] != shape or not len(chain):
                 return backend, 0

@@ -12,7 +12,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.files.folders import PROGRESS
-from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.text import read_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
@@ -98,7 +98,7 @@ class StoredStarts:
         """Return the stored outcome of a start, if there is one. Not collective."""
         path = self._path(number)
         try:
-            content = parse_json(read_text(path)) if path is not None else None
+            content = json.loads(read_text(path)) if path is not None else None
             if not isinstance(content, dict) or content.pop("key") != self._key:
                 return None
             lists = {k: tuple(v) for k, v in content.items() if isinstance(v, list)}

@@ -1,5 +1,6 @@
 """Information on the fitted keys: before tests (priors, an earlier fit), and what tests add."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.units import factor
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_json, read_text, shortened
+from ringwear_par.files.text import read_text, shortened
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -147,7 +148,7 @@ def _earlier(
     except InputError as error:
         raise InputError(f"--after {error}; {_ALLOWED}") from error
     try:
-        outcome = parse_json(text)
+        outcome = json.loads(text)
         earlier_keys, estimates, logs = outcome["keys"], outcome["parameters"], outcome["log"]
         nominal = np.array([estimates[key]["estimate"] for key in earlier_keys], dtype=float)
         information = np.array(outcome["information"], dtype=float).reshape(

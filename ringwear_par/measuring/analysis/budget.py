@@ -1,5 +1,6 @@
 """Budgets of uncertainty (JCGM 100:2008, and 101:2008 by Monte Carlo); those of a whole test."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -31,6 +32,8 @@ class Source:
     unit: str
     #: derivative of the measurand with respect to it
     sensitivity: float
+    #: whether all tests of a rig have the same error, as of its load or its sensors
+    shared: bool = False
 
     @property
     def contribution(self) -> float:
@@ -55,12 +58,12 @@ class Estimate:
     @property
     def u(self) -> float:
         """Combined standard uncertainty, of sources that do not depend on each other."""
-        return self.u_of("AB")
+        return math.hypot(*(source.contribution for source in self.sources))
 
-    def u_of(self, types: str) -> float:
-        """Return the standard uncertainty by the sources of one type, "A" or "B", or of "AB"."""
-        parts = (source.contribution for source in self.sources if source.type in types)
-        return float(np.sqrt(sum(part**2 for part in parts)))
+    @property
+    def u_shared(self) -> float:
+        """Standard uncertainty by what all tests of a rig share."""
+        return math.hypot(*(source.contribution for source in self.sources if source.shared))
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -139,7 +142,7 @@ def source_of(
     """Return the source of type B of an input, none where its uncertainty is not given."""
     if name not in known:
         return []
-    return [Source(name, "B", known[name].of(value), unit, sensitivity)]
+    return [Source(name, "B", known[name].of(value), unit, sensitivity, shared=True)]
 
 
 def load_sources(

@@ -26,7 +26,8 @@ class Repeats:
     tests: tuple[str, ...]
     #: mm3/(N m), of logarithms
     mean: float
-    #: of the mean, 95 %: Student's t, and in squares what all tests share, as they have one rig
+    #: of the mean, 95 %: Student's t of the scatter, which has the errors of each test's own in it
+    #: (readings, steadiness), and in squares what all tests share, as they have one rig
     interval: tuple[float, float]
     #: standard deviation of the logarithms
     s_r: float
@@ -48,12 +49,17 @@ class Repeats:
 
 
 def repeats_of(tests: Iterable[TestNumbers]) -> tuple[Repeats, ...]:
-    """Return the groups of two steady tests or more whose loads and speeds are within 2 %."""
+    """Return the groups of two steady tests or more whose loads and speeds are within 2 %.
+
+    Of tests with the same record the first counts.
+    """
     groups: list[list[TestNumbers]] = []
+    records: set[str] = set()
     for test in tests:
-        rate = test.specific_wear_rate
-        if not test.part.steady or rate is None or rate.value <= 0.0:
+        rate, record = test.specific_wear_rate, test.test.record.sha256
+        if not test.part.steady or rate is None or rate.value <= 0.0 or record in records:
             continue
+        records.add(record)
         group = next((g for g in groups if _same(g[0].conditions, test.conditions)), None)
         if group is None:
             groups.append([test])
@@ -71,7 +77,7 @@ def _repeats(tests: Sequence[TestNumbers]) -> Repeats:
     rates = [test.specific_wear_rate for test in tests if test.specific_wear_rate]
     logarithms, n = np.log([rate.value for rate in rates]), len(rates)
     s_r = float(logarithms.std(ddof=1))
-    shared = float(np.mean([rate.u_of("B") / rate.value for rate in rates]))
+    shared = float(np.mean([rate.u_shared / rate.value for rate in rates]))
     half = np.hypot(student.ppf(_LEVEL, n - 1) * s_r / np.sqrt(n), COVERAGE * shared)
     low, middle, high = np.exp(logarithms.mean() + half * np.array([-1.0, 0.0, 1.0])).tolist()
     return Repeats(tuple(test.name for test in tests), middle, (low, high), s_r)

@@ -20,7 +20,7 @@ from ringwear_par.cases.files.weighings import Weighing, Weighings, read_weighin
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import RejectedError, is_number
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
@@ -94,7 +94,7 @@ def _read_masses(
     masses = TableReader(f"{reader.place}.masses", table, reader.faults, schema.MASSES)
     file, sd = masses.read("file"), masses.read("sd")
     if sd is not None and not has_unit(masses.raw("sd")):
-        masses.wrong("sd", 'must have its unit, such as "0.1 mg"')
+        masses.wrong("sd", 'must have its unit, such as "0.1 mg"', "unit")
     masses.finish()
     if file is None:
         if isinstance(table, Mapping) and "file" not in table:
@@ -104,7 +104,7 @@ def _read_masses(
         weighings = files.read(file, read_weighings)
     except InputError as error:
         for fault in error.faults:
-            masses.fault(fault)
+            masses.fault(fault, "file")
         return None, (sd, "B")
     if sd is not None:
         return weighings, (sd, "B")
@@ -119,7 +119,7 @@ def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
     try:
         table = _flat(table)
     except InputError as error:
-        reader.faults += [f"{reader.place}.{fault}" for fault in error.faults]
+        reader.faults += [fault.reworded(f"{reader.place}.{fault}") for fault in error.faults]
         return {}
     entries = TableReader(f"{reader.place}.uncertainty", table, reader.faults, schema.UNCERTAINTY)
     uncertainties = {}
@@ -136,11 +136,11 @@ def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
             if not is_number(size) or not 0.0 < size < math.inf or (relative and size >= 1.0):
                 raise RejectedError
         except RejectedError as reason:
-            entries.wrong(name, f"{rule}{f' ({reason})' if str(reason) else ''}")
+            entries.wrong(name, f"{rule}{f' ({reason})' if str(reason) else ''}", reason.code)
             continue
         uncertainties[name] = Uncertainty(float(size), relative)
     if {"load.force", "load.pressure"} <= uncertainties.keys():
-        entries.wrong("load.pressure", "must be absent beside load.force")
+        entries.wrong("load.pressure", "must be absent beside load.force", "conflict")
     entries.finish()
     return uncertainties
 
@@ -167,7 +167,7 @@ def _read_limits(reader: TableReader) -> Limits:
     if start is not None:
         for name in ("wear", "friction"):
             if name in steady:
-                steady.wrong(name, "must be absent beside from")
+                steady.wrong(name, "must be absent beside from", "conflict")
     steady.finish()
     return Limits(wear, friction, start)
 
@@ -198,7 +198,8 @@ class _Tests:
         """Return all tests, and add what is wrong with them to the faults."""
         if not isinstance(tables, list) or not tables:
             state = "is missing" if tables is None else f"= {shortened(tables)}"
-            faults.append(f"{self._name}: test {state}: must be tables, [[test]]")
+            sentence = f"{self._name}: test {state}: must be tables, [[test]]"
+            faults.append(Fault(sentence, "test", "missing" if tables is None else "not_allowed"))
             return ()
         tests: list[Test] = []
         names: set[str] = set()
@@ -208,7 +209,9 @@ class _Tests:
             if name is not None:
                 reader.place = f'{self._name}: test "{legible(name)}"'
             if name in names:
-                reader.fault("name: there are two tests of this name; names must differ")
+                reader.fault(
+                    "name: there are two tests of this name; names must differ", "name", "conflict"
+                )
             names.add(name)
             test = self._test(reader, name)
             if test is not None:
@@ -261,14 +264,14 @@ class _Tests:
                 sense=sense,
             )
         except InputError as error:
-            faults = error.faults
+            faults: Sequence[str] = error.faults
             if _has_weighings(self._files.folder / file):
                 faults = (
                     f"{legible(file)}: is a table of weighings, not a record; it must be given as "
                     "--masses or measure.masses.file",
                 )
             for fault in faults:
-                reader.fault(fault)
+                reader.fault(fault, "file")
             return None
 
     def _check(self, reader: TableReader, test: Test, weighing: Weighing | None) -> None:

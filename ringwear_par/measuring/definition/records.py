@@ -14,9 +14,9 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.columns import UNITS, missing_column, unit_by_name
 from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, unused_columns
-from ringwear_par.files.table_text import is_value
+from ringwear_par.files.table_text import is_clock, is_value
 from ringwear_par.files.text import shortened
 
 #: units of channels; of a temperature the letter behind the degree
@@ -342,12 +342,18 @@ def _conversion(
         scale = None if named is None else factor(named, base)
     if scale is not None:
         return partial(np.multiply, scale)
-    raise InputError(
+    if channel == "time" and is_clock(cell := table.first_cell(column)):
+        raise InputError(
+            f"{table.name}: {legible(column)}: {cell} may be h:min or min:s; name it "
+            f'{legible(column)} / h or {legible(column)} / min, or units = {{ time = "h" }}'
+        )
+    sentence = (
         f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "
         f'units = {{ {channel} = "{written}" }}'
         if unit is None
         else f"{table.name}: units.{channel} = {shortened(unit)}: must be the unit of {UNITS[base]}"
     )
+    raise InputError(Fault(sentence, code="unit"))
 
 
 def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArray, BoolArray, int]:

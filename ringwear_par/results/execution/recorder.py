@@ -108,7 +108,6 @@ class Recorder:
         attributes = self._before = before.attributes
         self._balances.restore(
             Balances(**before.balances),
-            float(attributes["step_error_time"]),
             bool(attributes["closing_contact"]),
             worst["reactions"][1],
         )
@@ -243,7 +242,6 @@ class Recorder:
                 **self.seconds(),
                 **balance_attributes(vars(self._balances.history(number))),
                 "symmetry_defect": float(last.symmetry_defect[place]),
-                "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },

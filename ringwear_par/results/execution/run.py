@@ -13,7 +13,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.unit_suspicions import unit_suspicions
+from ringwear_par.cases.plausible import implausible_numbers
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError, counted
 from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import is_at_end, simulate_one
@@ -220,7 +220,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
             progress = resources.enter_context(closing(Progress(case.time.end, since)))
             observers.append(partial(_show, progress, case.time.end))
         try:
-            with _logging_unit_suspicions(case, path, comm):
+            with _logging_implausible_numbers(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
@@ -247,15 +247,14 @@ def _show(progress: Progress, end: float, snapshot: Snapshot) -> bool:
 
 
 @contextmanager
-def _logging_unit_suspicions(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
-    """Log the suspicious units of a case that fails, but for those that its error names."""
+def _logging_implausible_numbers(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
+    """Log the implausible numbers of a case that fails, but for those that its error names."""
     try:
         yield
     except RingwearError as error:
-        if comm.rank == 0:
-            for warning in unit_suspicions(case):
-                if not any(f"{key} = " in str(error) for key in warning.keys):
-                    log.warning("%s: %s", path, warning.text)
+        for warning in implausible_numbers(case) if comm.rank == 0 else ():
+            if f"{warning.keys[0]} = " not in str(error):
+                log.warning("%s: %s", path, warning.text)
         raise
 
 
@@ -283,8 +282,8 @@ def _closing_lines(output: Path, result: Result, finished: bool) -> list[str]:
 def _times(seconds: dict[str, float], start_up: float, evaluations: int) -> str:
     names = ("assembly", "factorisation", "stepping", "output")
     parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-    counted = f"{evaluations} kernel evaluations" if evaluations else "of a stored contact pair"
-    return f"seconds: start-up {start_up:.2f}, {parts} ({counted})"
+    work = f"{evaluations} kernel evaluations" if evaluations else "of a stored contact pair"
+    return f"seconds: start-up {start_up:.2f}, {parts} ({work})"
 
 
 def seconds_since_start() -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields, BoundaryState
-from ringwear_par.results.storage.hdf5 import check_times, read_array, write_variable
+from ringwear_par.results.storage.hdf5 import read_array, write_variable
 from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable, axis, variable_table
 
 _DIMENSIONS = variable_table(
@@ -78,7 +78,6 @@ def read_boundaries(file: h5py.File) -> tuple[BoundaryState, ...]:
     groups = [file["boundary"][name] for name in BODIES]
     sizes: dict[str, int] = {}
     times = read_array(groups[0], _TIME, sizes)
-    check_times(times)
     steps = read_array(groups[0], _STEPS_MADE, sizes).tolist()
     bodies = [_read_body(group, len(times)) for group in groups]
     return tuple(

@@ -16,7 +16,7 @@ from ringwear_par.elasticity.stress.fields import (
     principal,
 )
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.spreadsheets import Sheet, check_xlsx, write_csv, write_xlsx
+from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
@@ -112,7 +112,7 @@ def export(
         else:
             sheet = _contact_table(result) if fields else _history_table(result)
         write_csv(output, sheet, decimal)
-        return f"{output}: {sheet.name}"
+        return f"{output}: {sheet[0]}"
     if interfaces:
         return _export_interfaces(result, output)
     if stress:
@@ -167,7 +167,7 @@ def _export_interfaces(result: Result, output: Path) -> str:
     return f"{output}: stress along the interfaces, {_states_from(times)}"
 
 
-def run_sheets(result: Result) -> list[Sheet]:
+def run_sheets(result: Result) -> list[Table]:
     """Return the tables of a run: key numbers, histories, and what else it has stored."""
     sheets = [_number_table(result), _history_table(result)]
     if result.profiles or result.layers:
@@ -177,14 +177,14 @@ def run_sheets(result: Result) -> list[Sheet]:
     return sheets
 
 
-def _number_table(result: Result) -> Sheet:
+def _number_table(result: Result) -> Table:
     """Return the key numbers at the end, and the checks."""
     numbers = [*key_numbers(result), *check_numbers(result)]
     rows = [(n.group, n.label, float(n.value), n.unit, n.note) for n in numbers]
-    return Sheet("numbers", ("group", "quantity", "value", "unit", "note"), rows, len(rows))
+    return "numbers", ("group", "quantity", "value", "unit", "note"), rows
 
 
-def _interface_table(interfaces: Sequence[Interface], states: Sequence[StressState]) -> Sheet:
+def _interface_table(interfaces: Sequence[Interface], states: Sequence[StressState]) -> Table:
     """Return the stresses along interfaces, a row for each state, interface, side and element."""
     header = [
         "step", "time (s)", "body", "layer", "side", "r (mm)", "z (mm)",
@@ -199,11 +199,10 @@ def _interface_table(interfaces: Sequence[Interface], states: Sequence[StressSta
             line.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
         )
     )
-    count = len(states) * len(SIDES) * sum(len(line.r) for line in interfaces)
-    return Sheet("stress along the interfaces", header, rows, count)
+    return "stress along the interfaces", header, rows
 
 
-def _stress_table(result: Result) -> Sheet:
+def _stress_table(result: Result) -> Table:
     """Return the stresses at points, a row for each stored state and point."""
     history = stresses(result)
     if not len(history.points):
@@ -225,7 +224,7 @@ def _stress_table(result: Result) -> Sheet:
             strict=True,
         )
     )  # fmt: skip
-    return Sheet("stress", header, rows, len(history.states) * len(places))
+    return "stress", header, rows
 
 
 def boundary_states(result: Result) -> Sequence[BoundaryState]:
@@ -243,7 +242,7 @@ def boundary_states(result: Result) -> Sequence[BoundaryState]:
     return result.boundary
 
 
-def _history_table(result: Result) -> Sheet:
+def _history_table(result: Result) -> Table:
     """Return the histories, a row for each stored state."""
     header = ["step", *map(titled, HISTORIES.values())]
     columns = [result.step, *(result.histories[name] for name in HISTORIES)]
@@ -259,10 +258,10 @@ def _history_table(result: Result) -> Sheet:
         header.append(titled(LABORATORY_NUMBERS[name].variable))
         columns.append(values)
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    return Sheet("histories", header, rows, len(result.step))
+    return "histories", header, rows
 
 
-def _contact_table(result: Result) -> Sheet:
+def _contact_table(result: Result) -> Table:
     """Return the contact line, a row for each stored state and element."""
     variables, fields = {**PROFILES, **LAYER_PROFILES}, {**result.profiles, **result.layers}
     names = [name for name in variables if name in fields]
@@ -278,7 +277,7 @@ def _contact_table(result: Result) -> Sheet:
     ]  # fmt: skip
     header += [titled(variables[name]) for name in names]
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    return Sheet("contact line", header, rows, stored * n)
+    return "contact line", header, rows
 
 
 def titled(variable: Variable) -> str:

@@ -26,7 +26,7 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_numbers,
 )
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.hdf5 import check_times, find_texts, read_array
+from ringwear_par.results.storage.hdf5 import find_texts, read_array
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
 
 if TYPE_CHECKING:
@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 
 def to_xarray(result: Result) -> "xarray.Dataset":
     """Return the dataset that xarray makes of a result's file, see ``Result.to_xarray``."""
-    return table.to_dataset(
-        result_variables(result), result.attributes, coordinates(result), result.name
-    )
+    return table.to_dataset(result_variables(result), result.attributes, coordinates(result))
 
 
 def result_variables(result: Result) -> list[tuple[Variable, Any]]:
@@ -252,7 +250,6 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         return read_array(file, variable, sizes)
 
     times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
-    check_times(times)
     count = len(times)
     points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
     sides: tuple[str, ...] = ()

@@ -50,7 +50,7 @@ def write_vtkhdf(output: Path, times: Sequence[float], contents: Sequence[Cells]
     """
     first, count = contents[0], len(times)
     (cells, corners), points = first.cells.shape, len(first.points)
-    with atomic_hdf5(output, sealed=False) as (file, _):
+    with atomic_hdf5(output) as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(_VERSION, dtype=np.int64)
         root.attrs.create("Type", b"UnstructuredGrid", dtype="S16")

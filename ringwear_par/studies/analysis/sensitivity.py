@@ -29,11 +29,11 @@ from ringwear_par.studies.storage.ensemble import Ensemble
 log = logging.getLogger(__name__)
 
 #: fewest and most cases, and resamples for 95 % confidence
-_FEWEST, _MOST, _RESAMPLES = 100, 4000, 100
+_FEWEST, _MOST, RESAMPLES = 100, 4000, 100
 #: fewest cases that must differ from the others, in so many digits
 _FEWEST_DIFFERING, _DIGITS = 20, 12
 #: about how many evaluations of a surrogate
-_EVALUATIONS = 1e6
+EVALUATIONS = 1e6
 _FIRST = "first order S\N{SUBSCRIPT ONE}"
 _NO_SALIB = (
     "no sensitivity indices: SALib is not installed; "
@@ -152,7 +152,7 @@ def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
         its_numpy = salib.np
         if not hasattr(np, "trapezoid"):  # SALib 1.5 calls trapz by the name that numpy 2 gave it
             salib.np = SimpleNamespace(**{**vars(np), "trapezoid": vars(np)["trapz"]})
-        options = {"num_resamples": _RESAMPLES, "seed": SEED}
+        options = {"num_resamples": RESAMPLES, "seed": SEED}
         try:
             delta = salib.analyze(problem, x, scores, method="delta", **options)
             first = salib.analyze(problem, x, (y - y.mean()) / y.std(), method="sobol", **options)
@@ -201,7 +201,7 @@ def surrogate_indices(part: Part, names: Sequence[str]) -> tuple[Indices, ...]:
         "num_vars": len(part.keys), "names": np.array([f"x{i}" for i in range(len(part.keys))]),
         "bounds": [[0.0, 1.0]] * len(part.keys),
     }  # fmt: skip
-    base = 2 ** round(math.log2(_EVALUATIONS / (len(part.keys) + 2)))
+    base = 2 ** round(math.log2(EVALUATIONS / (len(part.keys) + 2)))
     indices = []
     with _untouched():
         try:

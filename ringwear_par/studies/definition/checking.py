@@ -16,7 +16,7 @@ from ringwear_par.cases.files.keys import naming
 from ringwear_par.cases.files.law_trials import law_sources, refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import needs_reading
-from ringwear_par.errors import InputError
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.history.elastic.bodies import operator_key, young
 from ringwear_par.history.refusals.cases import check_memory, check_mesh
 from ringwear_par.studies.definition.designs import Draft
@@ -201,18 +201,23 @@ def case_faults(
 ) -> list[str]:
     """Return the faults of bad cases, each with its ``case_name``, and how many more there are."""
     cases_of: dict[str, list[int]] = {}
+    first: dict[str, Fault] = {}  # of each sentence
     with_new = covered = 0
     for number, faults in first_bad:
         named = f"{case_name(study, number)}: "
-        sentences = dict.fromkeys(fault.removeprefix(named) for fault in faults)
+        sentences = {fault.removeprefix(named): Fault(fault) for fault in faults}
         if not sentences.keys() <= cases_of.keys():
             if with_new == _LISTED:
                 continue
             with_new += 1
         covered += 1
+        first = sentences | first
         for sentence in sentences:
             cases_of.setdefault(sentence, []).append(number)
-    lines = [f"{study}: {_case_words(cases)}: {sentence}" for sentence, cases in cases_of.items()]
+    lines: list[str] = [
+        first[sentence].reworded(f"{study}: {_case_words(cases)}: {sentence}")
+        for sentence, cases in cases_of.items()
+    ]
     if bad > covered:
         lines.append(f"{study}: {bad - covered} more of {count} cases are bad")
     return lines

@@ -17,7 +17,7 @@ from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, source_tables
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.errors import MOST_FAULTS, Code, Fault, InputError, legible
 from ringwear_par.files.text import (
     parse_value,
     read_text,
@@ -68,8 +68,9 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     name, folder, tables, text = source_tables(source, "study")
     if kinds(tables) == {"case"}:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
-    faults = [
-        f"{name}: {legible(key)}: unknown key; must be one of case, vary, design"
+    no = "unknown key; must be one of case, vary, design"
+    faults: list[str] = [
+        Fault(f"{name}: {legible(key)}: {no}", key, "unknown_key")
         for key in tables
         if key not in ("case", "vary", "design")
     ]
@@ -77,8 +78,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     vary, design = tables.get("vary", {}), tables.get("design", {})
     for key, table in (("vary", vary), ("design", design)):
         if not isinstance(table, dict):
-            faults.append(f"{name}: {key} = {shortened(table)}: must be a table, [{key}]")
-            raise InputError(*faults)
+            sentence = f"{name}: {key} = {shortened(table)}: must be a table, [{key}]"
+            raise InputError(*faults, Fault(sentence, key, "not_allowed"))
     design = read_design(name, design, faults)
     method = design["method"]
     variations = read_variations(name, vary, method, faults)
@@ -92,15 +93,15 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     values = dict(zip(names, (column.distinct for column in columns), strict=True))
     boundary = values.get("output.boundary", [base.get("output.boundary", "none")])
     if unknown := [value for value in boundary if value != "none"]:
-        raise InputError(
+        sentence = (
             f"{name}: output.boundary = {shortened(unknown[0])}: fields on whole boundaries are "
             'stored by ringwear run only; must be absent from the case, or "output.boundary" = '
             '{ values = ["none"] } in [vary]'
         )
+        raise InputError(Fault(sentence, "output.boundary", "conflict"))
     if varied := [key for key in names if key.startswith("stress.")]:
-        raise InputError(
-            f"{name}: {varied[0]}: must not vary; what [stress] asks for is that of the base case"
-        )
+        sentence = f"{varied[0]}: must not vary; what [stress] asks for is that of the base case"
+        raise InputError(Fault(f"{name}: {sentence}", varied[0], "not_allowed"))
     complete = tuple(  # files are relative to the study
         column.mapped(partial(_in_full, key, folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)
@@ -181,11 +182,14 @@ def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
             path = path_of(name)
             near = len(faults) < MOST_FAULTS
             reason = unknown_key(name if path in LAYERS else path) if near else "unknown key"
-            faults.append(f"{table}: column {legible(name)}: {reason}")
+            code: Code = "not_allowed" if name == "title" else "unknown_key"
+            faults.append(Fault(f"{table}: column {legible(name)}: {reason}", name, code))
         elif not has_entry(name):
-            faults.append(f"{table}: column {name}: has no entries; must be the key itself")
+            sentence = f"{table}: column {name}: has no entries; must be the key itself"
+            faults.append(Fault(sentence, name, "unknown_key"))
         elif times[name] > 1:
-            faults.append(f"{table}: column {name}: is there more than once")
+            sentence = f"{table}: column {name}: is there more than once"
+            faults.append(Fault(sentence, name, "conflict"))
     values: list[list[Any]] = [[] for _ in names]
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != len(names):

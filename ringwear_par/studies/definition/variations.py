@@ -17,7 +17,7 @@ from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import factor, has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
-from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.errors import MOST_FAULTS, Fault, legible
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.studies.definition.schema import MOST_CASES
 
@@ -235,28 +235,35 @@ def read_variations(
     """Return the varied keys, and add their faults."""
     if method == "list":
         if vary:
-            faults.append(f'{name}: [vary]: must be absent where design.method = "list"')
+            sentence = f'{name}: [vary]: must be absent where design.method = "list"'
+            faults.append(Fault(sentence, "vary", "conflict"))
         return []
     entries = unnested(vary, {"values", "linear", "log", "count"})
     if not entries:
-        faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
+        sentence = f"{name}: [vary]: is missing or empty; must name one case key at least"
+        faults.append(Fault(sentence, "vary", "missing"))
     variations = []
     for key, entry in entries.items():
         path = path_of(key)
         place = f'{name}: vary."{legible(key)}"'
         table, _, form = key.rpartition(".")
         if not is_known(key) and table in BY_PATH:
-            faults.append(f'{name}: vary."{table}": {legible(form)}: {_FORMS}')
+            sentence = f'{name}: vary."{table}": {legible(form)}: {_FORMS}'
+            faults.append(Fault(sentence, f"vary.{table}", "not_allowed"))
         elif not is_known(key):
             near = len(faults) < MOST_FAULTS
             reason = unknown_key(key if path in LAYERS else path) if near else "unknown key"
-            faults.append(f"{place}: {reason}")
+            faults.append(Fault(f"{place}: {reason}", f"vary.{key}", "unknown_key"))
         elif path == "title":
-            faults.append(f"{place}: a title makes no other case; must be another key")
+            sentence = f"{place}: a title makes no other case; must be another key"
+            faults.append(Fault(sentence, f"vary.{key}", "not_allowed"))
         elif not has_entry(key):
-            faults.append(f"{place}: {path} has no entries; must be the key itself")
+            sentence = f"{place}: {path} has no entries; must be the key itself"
+            faults.append(Fault(sentence, f"vary.{key}", "unknown_key"))
         else:
+            before = len(faults)
             variation = _variation(place, key, entry, method, faults)
+            faults[before:] = [Fault(f, f"vary.{key}", "not_allowed") for f in faults[before:]]
             if variation is not None:
                 variations.append(replace(variation, unit=_written_unit(entry, key)))
     return variations

@@ -1,12 +1,10 @@
 """Where a team stores its cases: those that end in its shard, checkpoints of interrupted ones."""
 
 import logging
-from dataclasses import replace
 
 from mpi4py import MPI
 
 from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.unit_suspicions import without_intended_numbers
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.result import HistoryColumns, Result
@@ -48,11 +46,7 @@ class TeamStore:
 
     def add(self, columns: HistoryColumns, cases: CaseSet) -> HistoryColumns:
         """Store cases for good, drop checkpoints of ended ones; return stored columns."""
-        case, varied = cases.cases[0], self._plan.study.names
-        flags = zip(columns.flags, cases.cases, strict=True)
-        columns = replace(
-            columns, flags=tuple(without_intended_numbers(f, case, varied) for f, case in flags)
-        )
+        case = cases.cases[0]
         deep = case.output.profiles == "all"
         texts = [case.text for case in cases.cases]
         block = Block.of(columns, case.line, cases.ids, texts, __version__, deep=deep)

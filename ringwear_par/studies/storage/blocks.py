@@ -27,7 +27,6 @@ import numpy as np
 from ringwear_par.arrays import IntArray, is_one_number
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.writing import open_ordinary
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE
@@ -250,7 +249,7 @@ class PackedBlock(CaseBlock):
     def _bytes(self, names: Iterable[str]) -> dict[str, bytes]:
         """Return the bytes of those of some columns that are stored."""
         wanted, at, parts = set(names), self.start, {}
-        with reporting_damage(self.path), open_ordinary(self.path) as file:
+        with reporting_damage(self.path), self.path.open("rb") as file:
             for name, (size, checksum) in self.parts.items():
                 if name in wanted:
                     file.seek(at)

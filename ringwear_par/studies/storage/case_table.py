@@ -1,13 +1,10 @@
-"""``cases.csv`` and its meanings: a number, defined in ``end_values``, or a word of each case."""
+"""``cases.csv``: numbers, defined in ``end_values``, and words of each case."""
 
 import csv
-import json
-import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -21,9 +18,8 @@ from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
-from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import results_of_tasks
-from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
+from ringwear_par.results.variables import Variable
 from ringwear_par.studies.definition.variations import Column, own_key, value_of
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
@@ -31,14 +27,9 @@ from ringwear_par.studies.storage.case_variables import (
     stretches,
     text_dtype,
 )
-from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, entries
-from ringwear_par.studies.storage.results_file import TABLE
-from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, entry_label
+from ringwear_par.studies.storage.end_values import END_VALUES, entries
+from ringwear_par.studies.storage.stored_variables import OF_CASES
 
-log = logging.getLogger(__name__)
-
-#: the meanings of the table's columns, named as CSV on the Web has it
-TABLE_MEANINGS = f"{TABLE}-metadata.json"
 #: columns of the table before and after the end values
 _BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags")
 
@@ -137,58 +128,6 @@ class CaseTable:
             strict=True,
         )
 
-    def meanings(self, file: h5py.File) -> str:
-        """Return units and meanings of the columns of a file (W3C, Metadata for Tabular Data)."""
-        columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
-        for name in self.varied:
-            columns.append(_column(name, own_key(name).meaning, self.units[name]))
-        columns += [_column(name, OF_CASES[name].meaning, OF_CASES[name].unit) for name in _BEFORE]
-        places = _places(file)
-        for name in self._columns():
-            end_value, entry = end_value_of(name)
-            meaning = end_value.stored.meaning
-            if entry:
-                meaning += f"; {entry_label(end_value.stored, entry)}"
-            if axis_of(end_value.stored) == "point":
-                meaning += places[int(entry)]
-            columns.append(_column(name, meaning, end_value.stored.unit))
-        columns += [_column(name, OF_CASES[name].meaning, OF_CASES[name].unit) for name in _AFTER]
-        table = {
-            "@context": ["http://www.w3.org/ns/csvw", {"@language": "en"}],
-            "url": TABLE,
-            "tableSchema": {"columns": columns},
-        }
-        return json.dumps(table, indent=1) + "\n"
-
-
-def write_parquet(folder: Path) -> None:
-    """Write the table of a folder as Parquet too, where pyarrow is; else remove an old one.
-
-    Units and meanings are in the metadata of its columns.
-    """
-    path = (folder / TABLE).with_suffix(".parquet")
-    try:
-        import pyarrow
-        import pyarrow.csv
-        import pyarrow.parquet
-    except ImportError as error:
-        if find_spec("pyarrow") is not None:
-            log.warning("%s is not written: %s", path, error)
-        path.unlink(missing_ok=True)
-        return
-    words = dict.fromkeys(("case", *_BEFORE, *_AFTER[1:]), pyarrow.string())
-    options = pyarrow.csv.ConvertOptions(column_types=words)
-    table = pyarrow.csv.read_csv(folder / TABLE, convert_options=options)
-    meanings = json.loads((folder / TABLE_MEANINGS).read_text("utf-8"))["tableSchema"]["columns"]
-    fields = [
-        column.with_metadata(
-            {name.partition(":")[2] or name: text for name, text in meaning.items()}
-        )
-        for column, meaning in zip(table.schema, meanings, strict=True)
-    ]
-    with atomic_write(path) as temporary:
-        pyarrow.parquet.write_table(table.cast(pyarrow.schema(fields)), temporary)
-
 
 def _store(file: h5py.File, variable: Variable, values: Any) -> None:
     """Write numbers of all cases, (cases,) or more."""
@@ -244,34 +183,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, str):
         return value
     return "" if value is None else toml_value(value)
-
-
-def _column(name: str, meaning: str, unit: str) -> dict[str, str]:
-    text = {} if unit in ("", "1") else {"schema:unitText": unit}
-    return {"titles": name, "dc:description": meaning, **text}
-
-
-def _places(file: h5py.File) -> list[str]:
-    """Return where each point is, in words; "" of one that is not in the same place in all."""
-    if POINT_R.name not in file:
-        return []
-    r, z = (_common_values(file, name, np.nan) for name in (POINT_R.name, POINT_Z.name))
-    sides: list[Any] = [None] * len(r)
-    if POINT_SIDE.name in file:
-        sides = _common_values(file, POINT_SIDE.name, b"")
-    return [
-        "" if at is None or height is None
-        else f" at r = {at:.9g} mm, z = {height:.9g} mm" + (f", {side.decode()}" if side else "")
-        for at, height, side in zip(r, z, sides, strict=True)
-    ]  # fmt: skip
-
-
-def _common_values(file: h5py.File, name: str, unknown: Any) -> list[Any]:
-    """Return the value of each point in all cases that know it; None where cases differ."""
-    table = file[name]
-    distinct: list[set[Any]] = [set() for _ in range(table.shape[1])]
-    for start in range(0, len(table), WINDOW):
-        for values, column in zip(distinct, table[start : start + WINDOW].T, strict=True):
-            known = ~np.isnan(column) if unknown is np.nan else column != unknown
-            values.update(np.unique(column[known]).tolist())
-    return [values.pop() if len(values) == 1 else None for values in distinct]

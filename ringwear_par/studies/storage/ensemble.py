@@ -17,8 +17,6 @@ from ringwear_par.results.storage.hdf5 import (
     find_array,
     find_texts,
     read_array,
-    read_number,
-    read_text,
     reading,
 )
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
@@ -86,7 +84,7 @@ class Ensemble:
     def _variations(self) -> list[Variation]:
         """The varied keys of the study, none where it cannot be read."""
         try:
-            tables = parse_toml(read_text(self.attributes["study"]), "study")
+            tables = parse_toml(self.attributes["study"], "study")
         except (InputError, KeyError, ValueError):
             return []
         vary, design = tables.get("vary"), tables.get("design", {})
@@ -103,7 +101,7 @@ class Ensemble:
     def text(self, case: int) -> str:
         """Read a case as a case file."""
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
-            return read_text(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
+            return str(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
 
     def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
         """Read profiles of some cases (increasing numbers), or the mid-points "r" of elements.
@@ -131,13 +129,12 @@ def read_ensemble(folder: Path) -> Ensemble:
     with reading(path, SOFTWARE, FILE_KIND) as file:
         sizes: dict[str, int] = {}
         ids, status, error, in_study = (
-            tuple(map(read_text, find_texts(file, name, sizes)[:]))
+            tuple(find_texts(file, name, sizes)[:])
             for name in ("case", "status", "error", "in_study")
         )
         attributes = dict(file.attrs)
-        for name in ("method", "study", "status", "coordinates"):
-            read_text(attributes[name])
-        read_number(attributes["ranks"])
+        if missing := {"method", "study", "status", "ranks"} - attributes.keys():
+            raise ValueError(missing)
         varied = attributes["coordinates"].split()
         steps = find_array(file, over_cases(HISTORIES["time"]), sizes).shape[1]
         stored = read_array(file, OF_CASES["steps_stored"], sizes)
@@ -147,7 +144,7 @@ def read_ensemble(folder: Path) -> Ensemble:
             path, ids, status, error, np.array([word == "yes" for word in in_study]),
             read_array(file, OF_CASES["seconds"], sizes), stored,
             {name: _varied(file, name, sizes) for name in varied},
-            {name: read_text(file[name].attrs["units"]) for name in varied},
+            {name: file[name].attrs["units"] for name in varied},
             _final(file, sizes), attributes, _flags(file, sizes),
         )  # fmt: skip
 
@@ -163,7 +160,7 @@ def _final(file: h5py.File, sizes: dict[str, int]) -> dict[str, FloatArray]:
 
 def _flags(file: h5py.File, sizes: dict[str, int]) -> tuple[tuple[str, ...], ...]:
     """Return the flags of each case."""
-    return tuple(split_flags(read_text(text)) for text in find_texts(file, "flags", sizes)[:])
+    return tuple(split_flags(text) for text in find_texts(file, "flags", sizes)[:])
 
 
 def _varied(file: h5py.File, name: str, sizes: dict[str, int]) -> Any:
@@ -172,10 +169,7 @@ def _varied(file: h5py.File, name: str, sizes: dict[str, int]) -> Any:
         raise ValueError(name)
     if file[name].dtype.kind == "f":
         return read_array(file, Variable(name, ("case",), "", ""), sizes)
-    texts = find_texts(file, name, sizes)[:]
-    for text in texts:
-        read_text(text)
-    return texts
+    return find_texts(file, name, sizes)[:]
 
 
 def open_ensemble(folder: Path | str) -> "xarray.Dataset":
@@ -194,14 +188,8 @@ def open_ensemble(folder: Path | str) -> "xarray.Dataset":
 
     Raises
     ------
-    InputError : the folder holds none, or xarray and h5netcdf are not installed.
+    InputError : the folder holds none.
     """
-    path = read_ensemble(Path(folder)).path
-    try:
-        import xarray
-    except ImportError as error:
-        raise InputError(
-            f"{path}: needs xarray and h5netcdf to be opened so; pip install "
-            '"ringwear-par[xarray]" installs them'
-        ) from error
-    return xarray.open_dataset(path, engine="h5netcdf")
+    import xarray
+
+    return xarray.open_dataset(read_ensemble(Path(folder)).path, engine="h5netcdf")

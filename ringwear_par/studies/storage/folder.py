@@ -17,7 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.writing import check_writable, open_ordinary, remove_leftovers, unwritable
+from ringwear_par.files.writing import check_writable, open_or_make, unwritable
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.storage import shards
 from ringwear_par.studies.storage.blocks import INCOMPLETE, CaseBlock
@@ -75,13 +75,11 @@ class SweepFolder:
         check_writable(self.path / RESULTS)
 
     def clear(self) -> None:
-        """Remove the half-written files of a killed sweep. Needs the folder's lock."""
+        """Remove what says that a sweep was stopped. Needs the folder's lock."""
         self.stopped.unlink(missing_ok=True)
         if not self.part:
             for path in self.path.glob("STOPPED.*"):
                 path.unlink(missing_ok=True)
-            remove_leftovers(self.path)
-            remove_leftovers(self.path / "inflight")
 
     # -- which cases it holds ----------------------------------------------------------------------
 
@@ -186,7 +184,7 @@ def forget_slices(folder: Path) -> None:
 def _opened(path: Path) -> BinaryIO:
     """Open a lock, or make it; InputError where something else is there."""
     try:
-        return open_ordinary(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
+        return open_or_make(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be opened: {error.strerror or error}") from error
 

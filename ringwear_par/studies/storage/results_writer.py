@@ -30,12 +30,7 @@ from ringwear_par.results.variables import (
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.blocks import STATUS, CaseBlock, Kind
 from ringwear_par.studies.storage.case_index import ENTRY, CaseIndex
-from ringwear_par.studies.storage.case_table import (
-    TABLE_MEANINGS,
-    CaseTable,
-    extended,
-    write_parquet,
-)
+from ringwear_par.studies.storage.case_table import CaseTable, extended
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
@@ -88,32 +83,26 @@ class CaseList:
 def write_results(
     folder: Path, cases: CaseList, attributes: Mapping[str, Any], comm: MPI.Comm
 ) -> None:
-    """Write results of cases by rename, the units of the table beside it. On rank 0 of comm only.
+    """Write results of cases by rename. On rank 0 of comm only.
 
     Within ``parallel.with_help_of_all``.
     """
     with (
-        atomic_write(folder / TABLE) as rows,  # all are whole before one is replaced
-        atomic_write(folder / TABLE_MEANINGS) as meanings,
-        atomic_hdf5(folder / RESULTS) as (file, check_disk),
+        atomic_write(folder / TABLE) as rows,  # both are whole before one is replaced
+        atomic_hdf5(folder / RESULTS) as file,
     ):
-        writer = _Writer(file, cases, check_disk)
+        writer = _Writer(file, cases)
         table = writer.case_table(writer.write_histories(comm))
         table.store(file)
         file.attrs.update({"software": SOFTWARE, **attributes})
         table.write_csv(rows, comm, _window(len(cases.ids), comm))
-        meanings.write_text(table.meanings(file), encoding="utf-8")
-    write_parquet(folder)
 
 
 class _Writer:
-    """Fills an empty results file, window by window of cases.
+    """Fills an empty results file, window by window of cases."""
 
-    ``check_disk`` raises the error that the disk has failed with.
-    """
-
-    def __init__(self, file: h5py.File, cases: CaseList, check_disk: Callable[[], None]) -> None:
-        self._file, self._list, self._check_disk = file, cases, check_disk
+    def __init__(self, file: h5py.File, cases: CaseList) -> None:
+        self._file, self._list = file, cases
         #: the entry of each case
         self._cases = np.zeros(len(cases.entry), dtype=ENTRY)
         self._cases["seconds"] = self._cases["imbalance"] = np.nan
@@ -186,7 +175,6 @@ class _Writer:
                     if not part.start:
                         end_values[name] = np.full((count, *values.shape[1:]), np.nan)
                     end_values[name][part] = values
-                self._check_disk()
         return end_values
 
     def _blocks_of(self, cases: slice) -> dict[int, CaseBlock]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.files.writing import atomic_write, open_ordinary
+from ringwear_par.files.writing import atomic_write, open_or_make
 from ringwear_par.studies.storage.blocks import (
     MARKER,
     Block,
@@ -61,7 +61,7 @@ class Shard:
     def __init__(self, path: Path) -> None:
         self.path = path
         with _reporting_unwritable(path), ExitStack() as at_failure:
-            self._file = open_ordinary(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
+            self._file = open_or_make(path)
             at_failure.callback(self._file.close)
             _lock(self._file, path, fcntl.LOCK_EX)
             self._end = os.fstat(self._file.fileno()).st_size
@@ -121,7 +121,7 @@ def read_shard(path: Path) -> ShardContents | None:
     blocks: list[PackedBlock] = []
     damaged = end = at = 0
     try:
-        with open_ordinary(path) as file, _mapped(file, path) as content:
+        with path.open("rb") as file, _mapped(file, path) as content:
             while at < len(content):
                 block = unpack_header(content, at, path)
                 if block is not None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import InputError
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.schedules import Quantity, value
 from ringwear_par.wear.law import Coefficient, Parameter, Threshold
 from ringwear_par.wear.laws.threshold import AboveThreshold
@@ -69,13 +69,14 @@ class RunningInLaw(AboveThreshold):
             raise InputError(*faults)
 
     @classmethod
-    def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
+    def faults(cls, table: str, values: Mapping[str, Any]) -> list[Fault]:
         """Return the faults of depth and distance together, and those of any law."""
         faults = []
         if {"depth", "distance"} <= values.keys() and (values["depth"] is None) == (
             values["distance"] is None
         ):
-            faults.append(f"{table}depth, {table}distance: one of them must be given (mm)")
+            sentence = f"{table}depth, {table}distance: one of them must be given (mm)"
+            faults.append(Fault(sentence, f"{table}depth", "missing"))
         return faults + super().faults(table, values)
 
     @property

@@ -6,7 +6,6 @@ from laboratory import fit_tables, refused
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
 from ringwear_par.files.measurements import read_measurements
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result
@@ -140,90 +139,6 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("A;S1;40;", "A;S1;-40;", "tests.csv: line 4: p = -40: must be a finite number > 0, or a"),
-        ("A;S1;40;", "A;S1;4O;", "line 4: p = 4O: must be a number, or empty"),
-        ("A;S1;40;", "A;S1;1.040;", "line 4: p = 1.040: has a point where other numbers, as in l"),
-        ("B;S2", "Mean;S2", "line 6: Mean: is no test by its name; must be left out"),
-        ("B;S2;85;", "B;S2;1.085,5;", "line 6: p = 1.085,5: must be a number, or empty; thousands"),
-        ("B;S2;", ";S2;", "line 6: names no test; must begin with a name"),
-        ("A;;;", "A;;45;", 'line 5: p = "45.0 MPa": must be that of the first row of A, or empty'),
-        ("90;;12", "90;12,34;12", "line 5: vor: must be the mass before the test, as in its first"),
-        ("12,3500", "", "line 4: has no mass before; must have one at least"),
-        ("10992,1;0,2", "10992,1;-", "line 6: the sd of its mass is unknown; must be in a column"),
-        ("10992,1;0,2", "10992,1;0", 'sd = "0.0 mg": must be a finite number > 0'),
-        ("MPa;rad/s", "MPa;-", "tests.csv: n: no unit; name it n / rad/s, or tests.units"),
-        ("MPa;rad/s", "MPa;U/min", "the column n is in U/min by its name; must be in the unit of"),
-        ("sd Verlust;", "loss;", "line 4: has a loss of 0.1 mg beside before - after = 0.8 mg; mu"),
-        ("lower.density", "lower.densty", "set lower.densty: unknown key (did you mean lower.dens"),
-        ("Probe", "load.pressure", "the columns load.pressure and p may both be of load.pressure"),
-        ("Schrieb", "Datei", 'has no column Schrieb for file = "'),
-        (";at;", ";when;", "line 5: has no time; several weighings of A must have a column at"),
-        (";90;", ";50;", "line 5: A: is weighed at the time of line 4 again; readings of one weig"),
-        (";90;", ";100;", "line 5: at = 100: must be within the test, which ends at 90 s"),
-        (";90;", ";9:15:00;", "at = 9:15:00: must be within the test, which ends at 90 s, and co"),
-        ("10992,1", "<15", "nach = <15: must be a number, or empty; of a limit, the number, and"),
-        (";vor;nach;", ";a;b;", "tests.csv: has no column of masses; one must be named before"),
-        ("p;n;Dauer", "p;v / (m/s);Dauer", "v / (m/s): is not read, and its tests differ in it"),
-    ],
-)  # fmt: skip
-def test_rows_that_are_refused(old, new, said, folder):
-    text = TABLE.replace(old, new)
-    if "v / (m/s)" in new:
-        text = text.replace("rad/s", "-").replace("85;3,5", "85;7")
-    keys = {"data": []} if new == ";a;b;" else {}
-    assert said in "\n".join(refused(in_table(folder, text, **keys)))
-
-
-@pytest.mark.parametrize(("old", "new"), [("10992,1;0,2", "10992,1;?"), ("Schrieb", "Datei")])
-def test_one_fault_is_one_sentence(old, new, folder):
-    """Neither an unreadable sd is unknown, too, nor is a missing column missing in each row."""
-    assert len(refused(in_table(folder, TABLE.replace(old, new)))) == 1
-
-
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"file": "no.csv"}, "tests: no.csv: cannot be read: No such file"),
-        ({"sd": 0.1}, 'tests: sd = 0.1: must be a number > 0 with its unit, such as "0.1 mg"'),
-        ({"columns": {"mas": "vor"}}, "tests: columns.mas: must be name, specimen, batch, lab, at"),
-        ({"columns": {"loss": "x"}}, "tests.csv: has no column x for loss; must be one of Versuch"),
-        ({"units": {"load.omega": "m"}}, 'units.load.omega = "m": must be a unit of rad/s'),
-        (
-            {"units": {"loss": "g"}},
-            "tests: units.loss: no column is known to be of loss; tests.col",
-        ),
-        ({"data": 1}, "tests: data = 1: must be tables, [[tests.data]]"),
-        ({"fil": 1}, "tests: fil: unknown key (did you mean file?)"),
-    ],
-)
-def test_keys_that_are_refused(keys, said, folder):
-    with pytest.raises(InputError) as caught:
-        read_fit(in_table(folder, **keys))
-    assert said in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (
-            TABLE.replace("12348,5", "12349,7"),
-            "line 5: A has lost 0.3 mg, and 0.8 mg before (line 4), which is more than noise",
-        ),
-        (
-            "Test;Dauer / s;loss / mg;sd / mg;lower.density / (kg/m3)\nA;1.000;5;1;1900\n"
-            "B;2.000;5;1;1900\n",
-            "line 2: Dauer / s = 1.000 is read as 1; if thousands are meant, it must be 1000",
-        ),
-    ],
-)
-def test_cells_that_are_suspicious(text, said, folder, caplog):
-    read_fit(in_table(folder, text, data=[]))
-    assert said in caplog.text
-
-
-@pytest.mark.parametrize(
     ("cells", "row"),
     [
         (["9.468", "9.471", "9.502"], None),  # a balance with three decimals
@@ -237,23 +152,6 @@ def test_thousands_are_asked_for_where_numbers_speak_for_them(cells, row, tmp_pa
     (tmp_path / "a.csv").write_text("\n".join(["name;x", *(f"A;{cell}" for cell in cells)]))
     table = read_measurements(tmp_path / "a.csv", labelled=True)
     assert table.column(1).perhaps_thousands() == row
-
-
-def test_an_unknown_sd_is_one_fault(folder):
-    text = TABLE.replace("sd Verlust", "unread").replace("vor;nach", "vor;loss")
-    with pytest.raises(InputError) as caught:
-        read_fit(in_table(folder, text.replace("12348,5", "").replace("12349,2", "1"), data=[]))
-    assert any("the sd of its mass is unknown" in fault for fault in caught.value.faults)
-    assert not any("has no reading" in fault for fault in caught.value.faults)
-
-
-def test_cells_are_checked_beside_faults_of_keys(folder):
-    text = TABLE.replace(";1,5;;11", ";-1,5;;11")
-    with pytest.raises(InputError) as caught:
-        read_fit(in_table(folder, text, sd=0.1))
-    first, second = caught.value.faults
-    assert "sd = 0.1: must be a number > 0 with its unit" in first
-    assert "line 6: Dauer = -1,5: must be a finite number > 0 (s)" in second
 
 
 def test_limits_stand_in_a_column_or_in_a_template(folder):
@@ -272,24 +170,3 @@ def test_limits_stand_in_a_column_or_in_a_template(folder):
 def test_a_duration_may_be_a_clock_time(folder):
     text = TABLE.replace("S1;40;3,5;1,5", "S1;40;3,5;0:01:30")
     assert read_fit(in_table(folder, text)).experiments[0].case.time.end == pytest.approx(90.0)
-
-
-def test_all_faults_are_told_together(folder):
-    text = TABLE.replace("MPa;rad/s", "MPa;-").replace("S1;40;3,5;1,5", "S1;4O;3,5;-1,5")
-    text = text.replace("B;S2;85", "B;S2;-85")
-    sentences = [fault.partition(".csv: ")[2] for fault in refused(in_table(folder, text))]
-    assert [sentence.partition(";")[0] for sentence in sentences] == [
-        "n: no unit", "line 4: p = 4O: must be a number, or empty",
-        "line 6: p = -85: must be a finite number > 0, or a table [[t, value >= 0], ...] in time, "
-        "t in s and increasing (MPa)", "line 4: Dauer = -1,5: must be a finite number > 0 (s)",
-    ]  # fmt: skip
-
-
-def test_a_fault_of_all_rows_is_said_once(folder):
-    tables = in_table(folder)
-    tables["tests"]["data"][0]["sd"] = -0.2
-    with pytest.raises(InputError) as refusal:
-        read_fit(tables)
-    (fault,) = refusal.value.faults
-    assert 'experiment "A"' in fault
-    assert fault.endswith(" (so in 2 tests)")

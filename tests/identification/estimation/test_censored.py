@@ -12,7 +12,6 @@ from laboratory import (
     history,
     one_test,
     penetration,
-    refused,
     write_table,
 )
 from mpi4py import MPI
@@ -25,7 +24,6 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.noise import censored_rows
 
-pytestmark = pytest.mark.serial
 K = "wear.lower.k"
 
 
@@ -183,25 +181,3 @@ def test_a_layer_that_is_not_through(tables):
     problem = read_fit(coated(tables, END))
     responses = Histories(problem, MPI.COMM_SELF).responses(np.array([[k["interval"][1]]]))
     assert responses[0][0, 0] == pytest.approx(END + norm.ppf(np.exp(-0.5 * 2.7055)), abs=0.2)
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"censored": "limits"}, 'censored = "limits": must be "below" or "above", or a column'),
-        ({"censored": "z_um"}, "z_um = "),
-        ({"correlation_time": 2.0}, "censored: must be absent with correlation_time"),
-    ],
-)
-def test_what_is_refused(tables, change, sentence):
-    wrong = copy.deepcopy(tables)
-    wrong["experiment"][0]["data"][0] |= change
-    assert [fault for fault in refused(wrong) if sentence in fault]
-    wrong = copy.deepcopy(tables)
-    wrong["fit"]["loss"] = "student"
-    with pytest.raises(InputError, match='censored: must be absent with loss = "student"'):
-        read_fit(wrong)
-    bare = copy.deepcopy(tables)
-    bare["experiment"][0]["data"] = coated(tables, END)["experiment"][0]["data"]
-    with pytest.raises(InputError, match="lower has no layers; must have one at least"):
-        read_fit(bare)

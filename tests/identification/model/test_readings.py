@@ -18,8 +18,6 @@ from ringwear_par.identification.model.readings import (
     nuisance_columns,
 )
 
-pytestmark = pytest.mark.serial
-
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
 
 
@@ -88,7 +86,6 @@ def problem(tmp_path_factory):
     return read_fit(fit_tables(folder, experiments))
 
 
-@pytest.mark.ranks
 def test_readings_are_those_of_the_history(problem, comm):
     """Against a history with its own small steps, in units of what instruments resolve."""
     experiment = problem.experiments[0]

@@ -24,31 +24,6 @@ from ringwear_par.identification.model.rounds import Rounds, StoppedError, side_
 from ringwear_par.results.execution.stop_signals import StopSignals
 
 
-@pytest.mark.several
-def test_histories_of_all_ranks_are_those_of_one(tables, comm):
-    """To the last bit, also where there are fewer of them than ranks, in every order."""
-    given = tables()
-    changed = given["experiment"][1]["set"]
-    changed["lower.young"] = 12e3  # an operator of its own
-    problem = read_fit(given)
-    rounds = Rounds(problem, comm, StopSignals())
-    alone = Histories(problem, comm)
-    points = np.array([[1e-7, 0.0], [2e-7, 30.0], [1.3e-7, 25.0]])
-
-    def job():
-        few = rounds.responses(points[:1], derivatives=False)
-        return [*rounds.responses(points), *few, *rounds.responses(points[::-1], 10)]
-
-    found = rounds.lead(job)
-    expected = [
-        *alone.responses(points),
-        *alone.responses(points[:1], derivatives=False),
-        *alone.responses(points[::-1], 10),
-    ]
-    assert [one.tobytes() for one in found] == [one.tobytes() for one in expected]
-    assert comm.rank > 0 or rounds.count == alone.count
-
-
 def test_an_error_on_one_rank_ends_all(tables, comm, monkeypatch, capfd):
     """The first rank, which waits for its histories, and those that serve; it is told once."""
     computed = histories_room.computed
@@ -106,30 +81,6 @@ def test_a_signal_to_any_rank_stops_all(tables, comm):
             rounds.lead(lambda: rounds.responses(np.array([[1e-7, 0.0]])))
 
 
-@pytest.mark.several
-def test_any_number_of_ranks_finds_the_same(tables, comm):
-    """Starts, estimates, profiles and samples."""
-    from mpi4py import MPI
-
-    given = tables(starts=2, intervals=["profile", "posterior"], samples=32)
-    del given["fit"]["parameters"]["wear.lower.p0"]
-    del given["experiment"][1]
-    given["experiment"][0]["set"]["wear.lower.p0"] = TRUTH["wear.lower.p0"]
-    found, alone = fit(given, comm), fit(given, MPI.COMM_SELF)
-    assert found.starts == alone.starts
-    for a, b in zip(found.parameters, alone.parameters, strict=True):
-        assert (a.estimate, a.sd) == pytest.approx((b.estimate, b.sd), rel=1e-12)
-    for key, table in alone.profiles.items():
-        assert found.profiles[key].tobytes() == table.tobytes()
-    assert found.posterior.samples.tobytes() == alone.posterior.samples.tobytes()
-    assert (found.histories, found.histories_of_profiles) == (
-        alone.histories, alone.histories_of_profiles,
-    )  # fmt: skip
-    assert found.band.tobytes() == alone.band.tobytes()
-    assert 0 < found.histories_of_profiles <= 50 * len(found.profiles)
-
-
-@pytest.mark.serial
 def test_a_result_tells_that_it_computes_no_more(tables, comm):
     found = expected_result(read_fit(tables()), comm)
     found.misfit.evaluate(found.x)
@@ -137,7 +88,6 @@ def test_a_result_tells_that_it_computes_no_more(tables, comm):
         found.misfit.evaluate(1.01 * found.x)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("terminal", [True, False])
 def test_how_far_a_fit_is_is_told_on_a_terminal(terminal, tables, comm, monkeypatch, capfd):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
@@ -150,7 +100,6 @@ def test_how_far_a_fit_is_is_told_on_a_terminal(terminal, tables, comm, monkeypa
     assert not counts or 0 < counts[-1] <= found.histories
 
 
-@pytest.mark.serial
 def test_what_fails_in_a_round_ends_all_jobs():
     before = threading.active_count()
 
@@ -162,7 +111,6 @@ def test_what_fails_in_a_round_ends_all_jobs():
     assert threading.active_count() == before
 
 
-@pytest.mark.serial
 def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeypatch):
     """From where a minimiser has stuck, half a standard deviation away."""
     expected = fit(tables(starts=1, intervals=["profile"]), comm)
@@ -187,7 +135,6 @@ def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeyp
         assert np.abs(np.subtract(one.interval, other.interval)).max() < 0.05 * one.sd
 
 
-@pytest.mark.serial
 def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
     monkeypatch.setattr(profile_room, "_CLOSE", -1.0)
     found = fit(tables(starts=1, intervals=["profile"]), comm)
@@ -197,7 +144,6 @@ def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
     }
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("error", "raised"), [(HistoryError, False), (ComputationError, True), (LawError, True)]
 )
@@ -221,7 +167,6 @@ def test_a_profile_takes_only_missing_histories_for_too_far(
         assert set(profile_room.likelihood_profiles(*arguments).inexact_limits) == set(TRUTH)
 
 
-@pytest.mark.serial
 def test_starts_are_where_all_parameters_are_felt(tables, comm):
     """Of thresholds that mostly are above all pressures, from which nothing leads away."""
     given = tables(starts=4)

@@ -11,7 +11,6 @@ from ringwear_par.identification.scatter.likelihood import LinearisedTest, reduc
 from ringwear_par.identification.scatter.linearisation import Blocks, projected_precision
 from ringwear_par.identification.scatter.linearisation import TestClocks as Clocks
 
-pytestmark = pytest.mark.serial
 SIZE = 0.04
 
 

@@ -8,7 +8,6 @@ import pytest
 from ringwear_par.identification.scatter import pieces as room
 from ringwear_par.identification.scatter.pieces import posterior_in_pieces
 
-pytestmark = pytest.mark.serial
 MATERIAL = SimpleNamespace(wear=SimpleNamespace(shares=()), converged=True)
 
 

@@ -18,8 +18,6 @@ from ringwear_par.identification.scatter.likelihood import (
 )
 from ringwear_par.identification.scatter.posterior import Mixture, Size, integrate
 
-pytestmark = pytest.mark.serial
-
 
 def reduced(jacobian, z):
     """A test whose readings have unit noise and no nuisances."""

@@ -1,0 +1,19 @@
+# docker build -t ringwear-par .
+# docker run --rm -v "$PWD":/work ringwear-par mpirun -n 2 ringwear run case.toml -o run.h5
+FROM debian:12-slim
+RUN apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends python3-venv python3-petsc4py \
+        python3-petsc4py-real python3-mpi4py python3-scipy openmpi-bin libopenblas0-pthread && rm -rf /var/lib/apt/lists/*
+# Debian keeps petsc4py beside its PETSc; its petsc4py and scipy are built for numpy 1
+RUN python3 -m venv --system-site-packages /opt/ringwear && ls -d /usr/lib/petscdir/petsc3*/*-real/lib/python3/dist-packages \
+    > "$(/opt/ringwear/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/debian-petsc.pth"
+COPY LICENSE pyproject.toml /src/
+COPY docs/package.md /src/docs/
+COPY ringwear_par /src/ringwear_par
+RUN /opt/ringwear/bin/pip install --no-cache-dir "/src[arviz,fit,pages,sensitivity,xlsx]" "numpy<2" && rm -rf /src
+ENV PATH=/opt/ringwear/bin:$PATH NUMBA_CACHE_DIR=/opt/ringwear/compiled OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
+# compiled once, here; numba takes what is kept only from folders that its user may write to
+RUN ringwear verify > /dev/null && chmod -R a+rX /opt/ringwear/compiled && chmod a+w /opt/ringwear/compiled/*/
+RUN useradd --create-home tribologist
+USER tribologist
+WORKDIR /work
+CMD ["ringwear", "info"]

@@ -1,1 +1,0 @@
-"""Exact solutions, and what is computed beside them."""

@@ -1,0 +1,277 @@
+"""Faults of physics, statistics and storage, planted one at a time, and the tests that see them.
+
+    python tests/planted_faults.py [--list] [--check] [NAME ...]
+
+Each fault replaces a text that occurs once in the package, in a copy of the checkout, and the tests
+named beside it, the cheapest that see it, have to fail there. Exit status 1 if one does not, or if
+a text or a test is gone. Whoever deletes or rewrites a test names another one that sees its faults;
+whoever rewrites code plants the fault in the new code.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+#: s, for the tests of one fault; compilation included
+TIME_OUT = 300.0
+#: status of pytest where tests ran and some failed
+FAILED = 1
+
+
+class Fault(NamedTuple):
+    """A planted fault: a file of the package, a text in it that another one replaces, and tests."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+FAULTS = [
+    # elasticity: kernels, quadrature, assembly, condensation, stress
+    Fault("ring kernel", "elasticity/bem/kernels.py", "k1 = 3.0 - 4.0 * nu", "k1 = 3.0 - 3.9 * nu",
+          "elasticity/test_kernels.py::test_ring_kernels_are_the_integrated_kelvin_solution"),
+    Fault("moments near the axis", "elasticity/bem/kernels.py", "_N_THETA = 8", "_N_THETA = 5",
+          "elasticity/test_kernels.py::test_moments_to_twelve_digits"),
+    Fault("singular quadrature", "elasticity/bem/quadrature.py", "_SINGULAR_POINTS = 16",
+          "_SINGULAR_POINTS = 5", "elasticity/test_quadrature.py"),
+    Fault("traction of layers", "elasticity/bem/rows.py", "-dofs.sign[e] * soft", "-dofs.sign[e]",
+          "elasticity/test_layers.py::test_a_very_thin_film_is_a_winkler_foundation"),
+    Fault("compliance on a slope", "elasticity/bem/body.py", "slope[:, None] * radial - axial",
+          "-slope[:, None] * radial - axial",
+          "elasticity/test_slopes.py::test_cones_are_reciprocal"),
+    Fault("moduli exchanged", "elasticity/bem/pair.py",
+          "lower, upper = 1.0 / young[0], 1.0 / young[1]",
+          "upper, lower = 1.0 / young[0], 1.0 / young[1]",
+          "elasticity/test_pair.py::test_compliances_of_both_bodies_add_up"),
+    Fault("Poisson's ratio is not in the key", "elasticity/mesh.py",
+          "*((body.section, body.grip, body.relative)", "*((body.section, body.grip)",
+          "elasticity/test_pair.py::test_the_key_tells_what_a_pair_depends_on"),
+    Fault("default grading", "elasticity/mesh.py", "    grading: float = 2.5",
+          "    grading: float = 1.5", "elasticity/test_default_mesh.py"),
+    Fault("stress kernel", "elasticity/stress/kernels.py",
+          "d_tz = cd * b * (w1 * cos3 + 3.0 * r * r1 * sk0)",
+          "d_tz = cd * b * (w1 * cos3 + 2.9 * r * r1 * sk0)", "elasticity/test_stress_kernels.py"),
+    Fault("the upper body's place", "elasticity/stress/boundary_recovery.py",
+          "moved[:, 1] -= approach", "moved[:, 1] += approach",
+          "elasticity/test_fields.py::test_equilibrium_and_bodies_that_meet"),
+    # contact
+    Fault("KKT residual is always 0", "contact/problem.py", "np.divide(worst, most,",
+          "np.divide(0.0 * worst, most,",
+          "contact/test_problem.py::test_residuals_of_solutions_and_of_none"),
+    Fault("coarse balance of forces", "compiled/contact_rows.py", "FORCE_TOLERANCE = 1e-12",
+          "FORCE_TOLERANCE = 1e-5", "contact/test_approach.py"),
+    Fault("gap forgets part of the wear", "history/physics.py", "gap = gap + worn",
+          "gap = gap + 0.99 * worn", "history/test_history.py::test_steady_pressure_at_2000_s"),
+    # laws of wear
+    Fault("threshold law without friction", "wear/laws/threshold.py",
+          "self.k, local.time, local.r) * local.power",
+          "self.k, local.time, local.r) * local.speed",
+          "wear/test_rates.py::test_rates_are_their_formulas"),
+    Fault("Archard's volume per energy", "wear/laws/archard.py", "return self.k / friction",
+          "return self.k", "wear/test_rates.py::test_volume_by_energy_is_what_the_law_says"),
+    Fault("power law: derivative by k", "wear/laws/power.py",
+          "return _power(local.speed, self.n) * _power(p, self.m)", "return _power(p, self.m)",
+          "wear/test_wear.py::test_taylor_remainders_of_wear_and_parameters"),
+    Fault("running in twice as fast", "wear/laws/running_in.py",
+          "return fall * np.exp(-(memory / over))", "return fall * np.exp(-2.0 * (memory / over))",
+          "wear/test_wear.py::test_running_in_falls_with_distance_and_depth"),
+    Fault("end of a layer without round-off", "wear/layered.py", "(1.0 - _ROUND_OFF) * ends",
+          "ends", "wear/test_layers.py"),
+    # schemes, errors, schedules, balances
+    Fault("coefficients of SDIRK2", "history/schemes/sdirk2.py",
+          "GAMMA = 1.0 - 1.0 / math.sqrt(2.0)", "GAMMA = 0.3",
+          "history/test_adaptive.py::test_stages_are_of_second_order"),
+    Fault("estimate of the error lacks a term", "history/schemes/sdirk2.py",
+          "Formula(_DEFECT, GAMMA, _LACKING / GAMMA,", "Formula(_DEFECT, GAMMA, 0.0 * _LACKING,",
+          "history/test_history_errors.py::test_the_estimate_is_the_error"),
+    Fault("errors are not carried on", "compiled/step_rows.py",
+          "error / max(tolerance - carried, least))\n", "error / tolerance)\n",
+          "history/test_tolerance.py -k crown"),
+    Fault("weights of the energy", "compiled/step_rows.py",
+          "sums[history] = length * (weights[0] * start + weights[1] * stage + weights[2] * end)",
+          "sums[history] = length * (weights[0] * start + weights[2] * stage + weights[1] * end)",
+          "history/test_adaptive.py::test_the_papers_case_in_few_steps"),
+    Fault("balance of energy is always 0", "history/observers/balances.py", '"energy": identity,',
+          '"energy": 0.0 * identity,', "history/test_history.py"),
+    Fault("integral of a schedule", "schedules.py", "0.5 * (y + self(x)) * (x - first)",
+          "y * (x - first)",
+          "history/test_adaptive.py::test_sliding_distance_of_fixed_steps_is_exact"),
+    Fault("states at times of output", "history/batch.py",
+          "part.physics, part.contacts, part.state, times)",
+          "part.physics, part.contacts, part.state, 0.9 * times + 0.1 * part.state.time)",
+          "history/test_adaptive.py::test_times_of_output_are_as_accurate_and_change_nothing"),
+    Fault("torque without slope", "history/physics.py",
+          "self.area * self.compliances.every[0].obliquity * self.line.arm",
+          "self.area * self.line.arm",
+          "history/test_sloping_faces.py::test_torque_and_energy_are_those_of_the_true_area"),
+    # numbers and files of results
+    Fault("mass by the body's density", "results/laboratory_numbers.py",
+          "volumes * densities, 0.0)", "volumes * densities[..., -1:], 0.0)",
+          "results/test_layer_results.py::test_the_mass_lost_is_that_of_each_layer"),
+    Fault("unit of p V", "results/laboratory_numbers.py", "lambda c: 1e-3 * c.force / c.area",
+          "lambda c: 1e-6 * c.force / c.area", "results/test_laboratory_numbers.py"),
+    Fault("sliding distance of schedules", "results/laboratory_numbers.py",
+          "_normal_work(result), integral(omega, 0.0, time),",
+          "_normal_work(result), in_time(omega, time) * time,",
+          "results/test_laboratory_numbers.py"),
+    Fault("masses in units", "cases/units.py", "of_mass = -3.0 if time else 3.0", "of_mass = 3.0",
+          "cases/test_units.py::test_parameters_of_a_users_law_are_in_the_units_of_a_case"),
+    Fault("restart forgets updates", "results/storage/result_files.py", 'int(parts["updates"][0]))',
+          "0)", "results/test_restart_counts.py"),
+    Fault("restart starts cold", "results/storage/result_files.py", 'WarmStart(**of("warm")),',
+          'WarmStart(**{name: 0.0 * v for name, v in of("warm").items()}),',
+          "results/test_restart_counts.py"),
+    Fault("edges stored backwards", "results/storage/result_files.py",
+          "table.EDGES, result.line.edges)", "table.EDGES, result.line.edges[::-1])",
+          "results/test_result.py::test_saved_and_opened_it_is_the_same"),
+    # sweeps
+    Fault("merging permutes cases", "studies/execution/merging.py",
+          "np.concatenate([entry, gone]),\n        study.texts",
+          "np.concatenate([np.sort(entry), gone]),\n        study.texts",
+          "studies/test_own_keys.py"),
+    Fault("the queue loses a case", "studies/execution/case_queue.py", "self._all_left -= number",
+          "self._all_left -= max(number, 2)", "studies/test_case_queue.py"),
+    Fault("table of the row before", "studies/storage/end_values.py",
+          "rows = table[some, last[some]]", "rows = table[some, last[some] - 1]",
+          "studies/test_own_keys.py"),
+    # fits, and plans of tests
+    Fault("AIC", "identification/fit_result.py", "return 2.0 * self.n_fitted + self._deviance",
+          "return 1.0 * self.n_fitted + self._deviance",
+          "identification/test_fit_truths.py -k criteria"),
+    Fault("constant of the likelihood", "identification/model/noise.py",
+          "return float(0.5 * np.log(2.0 * np.pi))", "return float(0.5 * np.log(np.pi))",
+          "identification/test_fit_truths.py -k criteria"),
+    Fault("level of intervals", "identification/estimation/intervals.py",
+          "for p in (0.5 + 0.5 * level, level))", "for p in (level, level))",
+          "identification/test_fit_truths.py -k wide"),
+    Fault("drift of a record", "identification/model/readings.py",
+          "column = series.x / case.time.end", "column = series.x / series.x.max()",
+          "identification/model/test_readings.py::test_nuisances"),
+    Fault("prior without its sd", "identification/estimation/misfit.py",
+          "residuals[row], jacobian[row, j] = (at - prior.mean) / prior.sd,",
+          "residuals[row], jacobian[row, j] = (at - prior.mean),",
+          "identification/test_fit.py::test_criteria_count_what_priors_object"),
+    Fault("side of a limit", "identification/model/noise.py", "t = side * residuals",
+          "t = -side * residuals",
+          "identification/estimation/test_censored.py"
+          "::test_rows_have_gradient_and_curvature_of_the_likelihood"),
+    Fault("volume of correlated noise", "identification/scatter/likelihood.py",
+          "volume = test.log_volume + 2.0 *", "volume = test.log_volume + 1.0 *",
+          "identification/scatter/test_scatter.py identification/scatter/test_clocks.py"),
+    Fault("information of a next test", "identification/test_design/information.py",
+          "NuisanceProjection(stacked[:, m:]).rest(stacked[:, :m])", "stacked[:, :m]",
+          "identification/test_design/test_design.py::test_information_is_that_of_a_fit"),
+    # rigs, predictions, running tests
+    Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",
+          "float(np.sqrt(3.0))", "measuring/test_steady_part.py"),
+    Fault("Student's t", "measuring/analysis/repeats.py", "student.ppf(_LEVEL, n - 1)",
+          "student.ppf(_LEVEL, 1e9)", "measuring/test_measure.py::test_repeats"),
+    Fault("sum of a budget", "measuring/analysis/budget.py",
+          "np.sqrt(sum(part**2 for part in parts))", "sum(abs(part) for part in parts)",
+          "measuring/test_budget.py"),
+    Fault("shape of random wear", "prediction/draws.py",
+          "random.gamma(shapes[noisy]) / shapes[noisy]",
+          "random.gamma(2.0 * shapes[noisy]) / (2.0 * shapes[noisy])", "prediction/test_draws.py"),
+    Fault("time to a depth", "prediction/prediction.py", "time[np.maximum(after - 1, 0)]\n",
+          "time[after]\n", "prediction/test_draws.py"),
+    Fault("evidence of a running test", "monitoring/bank.py",
+          "reduced.square + reduced.log_volume + reduced.log_nuisances", "reduced.square",
+          "monitoring/test_follow.py::test_the_posterior_of_a_running_test "
+          "monitoring/test_follow.py::test_laws_are_as_probable_as_by_a_fit_of_all_tests"),
+]  # fmt: skip
+
+
+def is_planted_once(fault: Fault) -> bool:
+    """Tell whether a fault's text occurs once, and say where it does not."""
+    path = ROOT / "ringwear_par" / fault.file
+    count = path.read_text(encoding="utf-8").count(fault.old) if path.exists() else 0
+    if count != 1:
+        print(f"{fault.name}: its text occurs {count} times in {fault.file}, not once")
+    return count == 1
+
+
+def copied(folder: Path) -> Path:
+    """Return a copy of the checkout, as it is now and with what is compiled, in a folder."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, check=True,
+        capture_output=True, text=True,
+    ).stdout.splitlines()  # fmt: skip
+    listed += [
+        str(path.relative_to(ROOT))
+        for ending in ("nbi", "nbc", "o")
+        for path in ROOT.glob(f"ringwear_par/**/__pycache__/*.{ending}")
+    ]
+    copy = folder / "checkout"
+    for name in listed:
+        if (ROOT / name).is_file():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, copy / name)
+    return copy
+
+
+def is_caught(fault: Fault, copy: Path) -> bool:
+    """Plant a fault in the copy, run its tests, take it out; tell whether they fail."""
+    path = copy / "ringwear_par" / fault.file
+    source, started = path.read_text(encoding="utf-8"), time.monotonic()
+    environment = {
+        **os.environ, "PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }  # fmt: skip
+    if fault.file.startswith(("elasticity", "contact")):  # then all kernels are compiled anew
+        environment["NUMBA_CACHE_DIR"] = str(copy.parent / fault.name.replace(" ", "-"))
+    words = [part if part.startswith("-k") or "/" not in part else f"tests/{part}"
+             for part in fault.tests.split()]  # fmt: skip
+    path.write_text(source.replace(fault.old, fault.new), encoding="utf-8")
+    try:
+        run = subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", *words], cwd=copy,
+            env=environment, capture_output=True, text=True, timeout=TIME_OUT, check=False,
+        )  # fmt: skip
+        status, lines = run.returncode, [*run.stdout.splitlines(), *run.stderr.splitlines()]
+    except subprocess.TimeoutExpired:
+        status, lines = -1, [f"no end after {TIME_OUT:g} s"]
+    finally:
+        path.write_text(source, encoding="utf-8")
+    failures = [line for line in lines if line.startswith("FAILED")]
+    said = failures[0].removeprefix("FAILED ") if failures else (lines or [""])[-1]
+    caught = status == FAILED and bool(failures)
+    verdict = "caught" if caught else "NOT CAUGHT"
+    print(f"{verdict:10}  {fault.name:40}  {time.monotonic() - started:5.0f} s  {said}", flush=True)
+    return caught
+
+
+def main() -> int:
+    """Run the script; return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of faults; without, all of them")
+    parser.add_argument("--list", action="store_true", help="names of faults, and who sees them")
+    parser.add_argument("--check", action="store_true", help="only whether texts are still there")
+    arguments = parser.parse_args()
+    unknown = set(arguments.names) - {fault.name for fault in FAULTS}
+    if unknown:
+        parser.error(f"no such faults: {', '.join(sorted(unknown))}")
+    faults = [f for f in FAULTS if not arguments.names or f.name in arguments.names]
+    if arguments.list:
+        print("\n".join(f"{fault.name:42}{fault.tests}" for fault in faults))
+        return 0
+    there = [is_planted_once(fault) for fault in faults]
+    if arguments.check or not all(there):
+        return int(not all(there))
+    with tempfile.TemporaryDirectory(prefix="planted-") as folder:
+        copy = copied(Path(folder))
+        caught = [is_caught(fault, copy) for fault in faults]
+    print(f"{sum(caught)} of {len(faults)} planted faults are caught")
+    return int(not all(caught))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
