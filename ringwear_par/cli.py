@@ -73,7 +73,8 @@ def _world() -> Any:
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
-        raise RingwearError(f"MPI for Python (mpi4py) does not load: {error}") from error
+        reason = " ".join(str(error).split())
+        raise RingwearError(f"MPI for Python (mpi4py) does not load: {reason}") from error
     finally:
         for name in mine:
             del os.environ[name]
@@ -81,8 +82,8 @@ def _world() -> Any:
     told = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", f"{size}"))
     if told != f"{size}":
         raise RingwearError(
-            f"the launcher has {told} ranks but MPI {size}: mpirun and mpi4py belong to different "
-            "MPI libraries (see ringwear info)"
+            f"started on {told} ranks but MPI has {size} rank(s): mpirun and mpi4py belong to "
+            "different MPI libraries (see ringwear info)"
         )
     return MPI.COMM_WORLD
 

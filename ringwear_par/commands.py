@@ -116,7 +116,7 @@ def parser() -> argparse.ArgumentParser:
             epilog=f"example:\n  {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        if kind == "solves" and name != "verify":  # which never uses them
+        if kind == "solves" and name != "verify":  # which never reads them
             a.flag("--no-cache", "assemble every contact pair, neither read nor write stored ones "
                    "(their folder: ringwear info)")
         a.set_defaults(load=(function, kind))
