@@ -35,14 +35,6 @@ def rate(p, at):
     k = at.parameters["k"] * (1.0 + np.exp(-at.wear / at.parameters["depth"]))
     return k * at.friction * at.speed * p
 """
-#: takes complex numbers at some times only
-PARTLY_REAL = """
-import numpy as np
-def rate(p, at):
-    if at.time > 3.0:
-        return 1e-8 * at.speed * np.interp(p, [0.0, 300.0], [0.0, 300.0])
-    return 1e-9 * at.speed * p**1.5
-"""
 FIVE = (1.0, 2.0, 3.0, 4.0, 90.0)
 
 
@@ -52,12 +44,10 @@ def laws_of(make, *parameters):
 
 
 LAWS = {
-    "equal": [ThresholdLaw(1e-7, 40.0)] * 5,
     "threshold": laws_of(ThresholdLaw, (1e-7, 2e-7, 1e-7, 3e-7, 7e-7), (0.0, 9.0, 9.0, 40.0, 80.0)),
     "schedules": laws_of(
         ThresholdLaw, (IN_TIME, 1e-7, IN_TIME, 2e-7, 1e-7), (ALONG, 4.0, IN_TIME, ALONG, 0.0)
     ),
-    "one schedule": [ThresholdLaw(IN_TIME, ALONG)] * 5,
     "archard": [ArchardLaw(x * 1e-8) for x in FIVE],
     "power": laws_of(PowerLaw, (1e-9,) * 5, (1.0, 1.5, 2.0, 2.5, 3.0), (0.5, 1.0, 1.0, 2.0, 0.7)),
     "table": [TableLaw(POINTS)] * 5,
@@ -65,7 +55,6 @@ LAWS = {
     "running-in, distance": [RunningInLaw(1e-7, x * 1e-7, distance=x) for x in FIVE],
     "non-local": [NonLocalLaw(x * 1e-7, 40.0, length=0.4) for x in FIVE],
     "user": [UserLaw("law.py", USER, (("k", x * 1e-8), ("depth", 1e-4))) for x in FIVE],
-    "partly real": [UserLaw("law.py", PARTLY_REAL)] * 5,
 }
 
 
@@ -130,14 +119,6 @@ class Largest:
         return 1e-8 * local.speed * p * p / max(p.max(), 1.0)
 
 
-class Branching:
-    """One that raises where it is asked for many."""
-
-    def rate(self, p, local):
-        """Return the rate."""
-        return (1e-8 if local.time < 1.5 else 2e-8) * local.speed * p
-
-
 @pytest.mark.parametrize(
     ("law", "serves"),
     [
@@ -145,7 +126,6 @@ class Branching:
         (ThresholdLaw(IN_TIME, ALONG), True),
         (Elements(), False),
         (Largest(), False),
-        (Branching(), False),
     ],
     ids=lambda law: type(law).__name__,
 )

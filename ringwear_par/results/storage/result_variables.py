@@ -221,17 +221,10 @@ def side_words(numbers: FloatArray) -> Any:
 
 
 def side_numbers(words: Any) -> FloatArray:
-    """Return the numbers of sides.
-
-    Raises
-    ------
-    ValueError : some are none.
-    """
+    """Return the numbers of sides."""
     numbers = np.full(words.shape, np.nan)
     for number, side in enumerate(table.POINT_SIDES):
         numbers[words == side.encode()] = number
-    if np.isnan(numbers).any():
-        raise ValueError(table.POINT_SIDE.name)
     return numbers
 
 
@@ -257,8 +250,6 @@ def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
         points = np.stack([read(table.POINT_R), read(table.POINT_Z)], axis=1)
         at_points = read(table.STRESS)
         sides = tuple(find_texts(file, table.POINT_SIDE.name, sizes, "point")[()].tolist())
-        if not set(sides) <= set(table.POINT_SIDES):
-            raise ValueError(table.POINT_SIDE.name)
     axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
     if table.STRESS_GRID.name in file:
         axes = read(table.GRID_R), read(table.GRID_Z)
