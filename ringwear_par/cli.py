@@ -94,7 +94,8 @@ def _run(words: list[str], comm: Any) -> None:
     with together(comm):
         arguments = parsed(words[:cut])
     function, kind = arguments.pop("load")
-    if arguments.pop("no_cache", False) or arguments.pop("command") == "verify":
+    anew = arguments.pop("no_cache", False)
+    if arguments.pop("command") == "verify" or anew:
         from ringwear_par.elasticity import pair_cache
 
         os.environ[pair_cache.VARIABLE] = ""
