@@ -95,8 +95,8 @@ def _run(words: list[str], comm: Any) -> None:
     with together(comm):
         arguments = parsed(words[:cut])
     function, kind = arguments.pop("load")
-    command, no_cache = arguments.pop("command"), arguments.pop("no_cache", False)
-    if no_cache or command == "verify":
+    anew = arguments.pop("no_cache", False)
+    if arguments.pop("command") == "verify" or anew:
         from ringwear_par.elasticity import pair_cache
 
         os.environ[pair_cache.VARIABLE] = ""
