@@ -46,10 +46,10 @@ def test_a_force_that_no_approach_carries_is_an_error(derivative):
     def saturated(approach):
         return 40.0 * min(1.0, approach), derivative
 
-    with pytest.raises(ComputationError, match="force 40 N"):
+    with pytest.raises(rw.ComputationError, match="force 40 N"):
         find_approach(100.0, 0.1, 40.0, saturated)
 
 
 def test_a_force_that_is_no_number_is_an_error():
-    with pytest.raises(ComputationError, match="force nan N"):
+    with pytest.raises(rw.ComputationError, match="force nan N"):
         find_approach(100.0, 0.1, 40.0, lambda approach: (np.nan, 40.0))

@@ -25,7 +25,7 @@ def condensed(section, mesh, comm, grip="clamped"):
 def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypatch):
     """Not integrals over parts that are too long, whose error nobody would see."""
     monkeypatch.setattr(rows, "MAX_PARTS", 2)
-    with pytest.raises(ComputationError, match="too close"):
+    with pytest.raises(rw.ComputationError, match="too close"):
         condensed(UPPER, Mesh(16), comm)
     monkeypatch.setattr(rows, "MAX_PARTS", 20)
     known = condensed(UPPER, Mesh(16), comm).normal

@@ -100,7 +100,7 @@ def test_the_line_is_cut_at_corners_and_shares_its_elements_out():
     assert np.array_equal(contact_line((28.5, 31.5), Mesh(64), *SECTIONS[0][:1]).edges, alone.edges)
     assert np.array_equal(alone.edges, graded(31.5, 28.5, 64, 2.5, 2.5)[::-1])
     assert contact_line((28.5, 31.5), Mesh(16), chamfered, ridge).n == 16
-    with pytest.raises(InputError, match=r"15.* 4 pieces .*16"):
+    with pytest.raises(rw.InputError, match=r"15.* 4 pieces .*16"):
         contact_line((28.5, 31.5), Mesh(15), chamfered, ridge)
 
 

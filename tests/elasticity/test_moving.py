@@ -74,5 +74,5 @@ def test_wear_at_the_nodes():
 def test_wear_through_half_a_body_is_an_error(comm):
     case = replace(paper_case(Mesh(16)), wear_lower=ThresholdLaw(1e-7))
     moving = updated_geometry(case, comm)
-    with pytest.raises(ComputationError, match="half of the height"):
+    with pytest.raises(rw.ComputationError, match="half of the height"):
         moving.update(np.full((2, 16), 10.5))

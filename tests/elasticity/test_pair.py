@@ -61,5 +61,5 @@ def test_compliances_of_both_bodies_add_up(pair):
 
 def test_a_compliance_that_is_none_is_refused(pair):
     wrong = replace(pair, normal=-pair.normal)
-    with pytest.raises(ComputationError, match="positive definite"):
+    with pytest.raises(rw.ComputationError, match="positive definite"):
         wrong.compliance((1.0, 1.0))

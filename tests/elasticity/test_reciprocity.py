@@ -160,5 +160,5 @@ def test_what_is_not_positive_definite_is_told(comm):
     wrong = replace(pair, normal=normal)
     with pytest.raises(np.linalg.LinAlgError):
         symmetric(pair.line, normal.sum(axis=0))
-    with pytest.raises(ComputationError, match="positive definite"):
+    with pytest.raises(rw.ComputationError, match="positive definite"):
         wrong.compliance((1.0, 1.0))

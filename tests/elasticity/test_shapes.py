@@ -124,7 +124,7 @@ def test_a_contact_line_that_misses_the_contact_is_refused():
     """A bump that mesh.contact leaves out would touch first."""
     bumps = [[28.5, 20.3], [29, 20.0], [29.5, 20.3], [30, 20.3], [30.8, 20.05], [31.5, 20.4]]
     text = PAPER.read_text()
-    with pytest.raises(InputError, match="nearer"):
+    with pytest.raises(rw.InputError, match="nearer"):
         parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [30.1, 31.4]})
     parse_case(text, "case.toml", {"upper.profile": bumps, "mesh.contact": [28.6, 31.4]})
 

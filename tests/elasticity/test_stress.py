@@ -81,7 +81,7 @@ def test_parts_of_elements_that_run_out_are_an_error(monkeypatch):
     zone, points = exact_zone(section), INSIDE[section]
     whole = at_points(zone, points)
     monkeypatch.setattr(rows, "MAX_PARTS", 1)
-    with pytest.raises(ComputationError, match="too close"):
+    with pytest.raises(rw.ComputationError, match="too close"):
         at_points(zone, points)
     monkeypatch.setattr(rows, "MAX_PARTS", 20)
     assert np.array_equal(at_points(zone, points), whole)

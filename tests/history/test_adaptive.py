@@ -204,7 +204,7 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
 
     change_steps(monkeypatch, never)
     with pytest.raises(
-        ComputationError,
+        rw.ComputationError,
         match=r"contact: no.*step 1",
     ):
         stepped(time=until(10.0))

@@ -76,7 +76,7 @@ def test_an_estimate_that_is_no_number_fails_the_case(paper, monkeypatch, name):
         return replace(step, **{name: np.nan * step.wear_error})
 
     change_steps(monkeypatch, wrong)
-    with pytest.raises(ComputationError, match="not a number"):
+    with pytest.raises(rw.ComputationError, match="not a number"):
         history(paper, LAWS["threshold"], 1e-5)
     case, pair = paper
     case = replace(case, time=Stepping("adaptive", until=50.0))

@@ -7,8 +7,6 @@ from paths import PAPER
 
 import ringwear_par as rw
 
-pytestmark = pytest.mark.serial
-
 
 def test_distance_and_energy_are_integrals_of_the_schedule():
     """Steps end neither where it bends nor only at its start."""

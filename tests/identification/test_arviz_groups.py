@@ -115,5 +115,5 @@ def test_the_evidence_is_the_integral_of_the_likelihood(fit):
 
 def test_arviz_is_asked_for_in_one_sentence(fit, monkeypatch):
     monkeypatch.setitem(sys.modules, "arviz", None)
-    with pytest.raises(InputError, match="arviz"):
+    with pytest.raises(rw.InputError, match="arviz"):
         fit.to_arviz()

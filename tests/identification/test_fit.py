@@ -327,7 +327,7 @@ def test_starts_bounds_and_priors_have_units(tables):
     assert (k.start, k.bounds) == (1e-7, (1e-9, 1e-5))
     assert (p0.bounds, p0.prior) == ((0.0, 200.0), (20.0, 5.0))
     given["fit"]["parameters"]["wear.lower.p0"]["start"] = "1 mm"
-    with pytest.raises(InputError, match="MPa"):
+    with pytest.raises(rw.InputError, match="MPa"):
         read_fit(given)
 
 

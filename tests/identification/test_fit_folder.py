@@ -183,11 +183,11 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
     assert not folder.exists()
     fails_with(StoppedError)
     assert len(list((folder / "progress").iterdir())) == 1
-    with pytest.raises(InputError, match="--restart"):
+    with pytest.raises(rw.InputError, match="--restart"):
         run_fit(path, folder, comm)
     other = path.with_name("other.toml")
     other.write_text("# another\n" + path.read_text())
-    with pytest.raises(InputError, match="another file"):
+    with pytest.raises(rw.InputError, match="another file"):
         run_fit(other, folder, comm, restart=True)
     run_fit(path, folder, comm, restart=True)
     told = json.loads((folder / "fit.json").read_text())

@@ -224,7 +224,7 @@ def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
     misfit = Misfit(problem, Histories(problem, MPI.COMM_SELF))
     start = misfit.with_best_nuisances(list(problem.start.values()))
     if nuisance == "offset":
-        with pytest.raises(InputError, match=r"40 MPa.*wrong sign"):
+        with pytest.raises(rw.InputError, match=r"40 MPa.*wrong sign"):
             refuse_reversed(misfit, start)
         for experiment in problem.experiments:  # in total they rise
             experiment.series[0].value[-1] = 1.0

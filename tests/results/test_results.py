@@ -74,9 +74,9 @@ def test_a_failed_last_write_is_an_error_on_all_ranks(tmp_path, comm, monkeypatc
         raise OSError(28, "No space left on device", "run.h5")
 
     monkeypatch.setattr(driver, "write_result", failing)
-    with pytest.raises(ComputationError, match="No space left"):
-        run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
-    assert not list(shared_path.glob("*"))
+    with pytest.raises(rw.ComputationError, match="No space left"):
+        run_case(PAPER, tmp_path / "run.h5", SMALL, comm=comm)
+    assert not list(tmp_path.glob("*"))
 
 
 @pytest.mark.parametrize("kind", ["text", "hdf5", "folder", "nowhere"])

@@ -300,7 +300,7 @@ def test_a_falling_slope_is_told_during_work():
 def test_averages_that_do_not_settle_are_refused(monkeypatch):
     monkeypatch.setattr(averages, "_SCALINGS", 1)
     r = np.linspace(28.5, 31.5, 12)
-    with pytest.raises(ComputationError, match="averages"):
+    with pytest.raises(rw.ComputationError, match="averages"):
         averaging(r, r, 0.5)
 
 

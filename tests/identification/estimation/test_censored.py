@@ -134,7 +134,7 @@ def test_limits_on_both_sides(tables):
     (*_, doubt) = [d for d in rw.fit(both, MPI.COMM_SELF).doubts if d.code == "outliers"]
     assert "the model is on the wrong side of 1 limit, by up to" in doubt.text
     both["fit"]["parameters"][K]["scatter"] = 0.1
-    with pytest.raises(InputError, match="limits"):
+    with pytest.raises(rw.InputError, match="limits"):
         read_fit(both)
 
 
