@@ -233,4 +233,4 @@ def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, tmp_path):
     assert file == f"{PAPER}: {said}"
     missing = [*law(GOOD)[:-1], "wear.lower.file=nowhere.py"]
     with pytest.raises(rw.InputError, match=r"nowhere\.py"):
-        read_case(PAPER, missing)
+        rw.read_case(PAPER, missing)
