@@ -34,6 +34,15 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item):
+    """Print a failure at once: the ranks may not come to the end."""
+    report = yield
+    if item.config._world is not None and report.failed:
+        print(f"{item.nodeid}\n{report.longreprtext}", file=sys.__stderr__, flush=True)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     """Meet the other ranks after each test: one that failed alone may have left them waiting."""
     outcome = yield
