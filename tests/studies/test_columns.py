@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ringwear_par as rw
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_text
 from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
 from ringwear_par.studies.definition.designs import read_draft
