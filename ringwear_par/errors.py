@@ -108,10 +108,10 @@ class LawError(ComputationError):
 
 
 #: kinds of fault: "not_allowed" is a value that is wrong by itself, "conflict" are keys that do not
-#: go together, "unreadable" is a file, "exists" one that would be overwritten; "invalid": another
+#: go together, "unreadable" is a file, "not_found" a column of one; "invalid": another
 Code = Literal[
     "unknown_key", "missing", "not_allowed", "conflict", "unit", "unreadable", "not_found",
-    "exists", "invalid",
+    "invalid",
 ]  # fmt: skip
 
 

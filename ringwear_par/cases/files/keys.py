@@ -85,7 +85,7 @@ def base_keys(
                 text = read_text(path)
             except InputError as error:
                 sentence = f"{name}: case = {shortened(base)}: {error}"
-                faults.append(Fault(sentence, "case", error.faults[0].code))
+                faults.append(Fault(sentence, "case", "unreadable"))
                 return None
             keys = read_keys(text, str(path))
             with naming(f"{path}:"):
