@@ -138,7 +138,7 @@ FAULTS = [
           "np.concatenate([np.sort(entry), gone]),\n        study.texts",
           "studies/test_own_keys.py"),
     Fault("the queue loses a case", "studies/execution/case_queue.py", "self._all_left -= number",
-          "self._all_left -= max(number, 2)", "studies/test_case_queue.py"),
+          "self._all_left -= max(number, 2)", "studies/test_own_keys.py"),
     Fault("table of the row before", "studies/storage/end_values.py",
           "rows = table[some, last[some]]", "rows = table[some, last[some] - 1]",
           "studies/test_own_keys.py"),
