@@ -273,7 +273,9 @@ def test_it_is_drawn(tmp_path):
 @pytest.mark.usefixtures("few_resamples")
 def test_a_sweep_is_answered_for(tmp_path):
     """Profiles and times, too, from the data set that users open; of fresh cases."""
-    (tmp_path / "case.toml").write_text(CASE.replace("steps = 20", "steps = 10"))
+    (tmp_path / "case.toml").write_text(
+        CASE.replace("steps = 20", "steps = 10").replace("p0 = 40", "p0 = 20")
+    )
     ranges = {"wear.lower.k": (1e-8, 1e-6), "load.pressure": (50.0, 80.0)}
     scales = zip(("log", "linear"), ranges.items(), strict=True)
     vary = {key: {scale: list(ends)} for scale, (key, ends) in scales}

@@ -13,6 +13,7 @@ from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 import ringwear_par as rw
 from ringwear_par import version
 from ringwear_par.studies.execution import pairs, plan, sweep, team_store
+from ringwear_par.studies.storage import case_table, case_variables, results_writer
 from ringwear_par.studies.storage.ensemble import open_ensemble, read_ensemble
 
 #: three cases of one operator, and six of two
@@ -139,6 +140,15 @@ def test_changed_study_keeps_what_is_the_same(write, copied, comm):
         vanished = row["upper.young"] == "50000.0"
         assert row == {**before[row["case"]], "in_study": "no" if vanished else "yes"}
     assert read_ensemble(copied).in_study.sum() == 12
+
+
+def test_files_do_not_depend_on_windows(write, known, tmp_path, comm, monkeypatch):
+    """Neither written from blocks, nor, once more, from earlier results."""
+    for module in (results_writer, case_table, case_variables):
+        monkeypatch.setattr(module, "WINDOW", 4)
+    for _ in range(2):
+        rw.sweep(write(STUDY), tmp_path / "out", comm)
+        assert_same_sweeps(known, tmp_path / "out")
 
 
 def test_slices_and_merging_equal_the_whole(write, known, tmp_path, comm):
