@@ -3,6 +3,7 @@
 import csv
 
 import h5py
+import numpy as np
 from paths import PAPER
 
 CASE = PAPER.read_text()
@@ -37,3 +38,13 @@ def variables(folder):
     """Variables of results.h5, but for the time taken."""
     with h5py.File(folder / "results.h5") as file:
         return {name: file[name][()] for name in file if name != "seconds"}
+
+
+def assert_same_sweeps(folder, other):
+    """Two folders hold the same to the last bit, but for the time taken."""
+    one, two = variables(folder), variables(other)
+    assert one.keys() == two.keys()
+    for name, values in one.items():
+        assert np.array_equal(values, two[name], equal_nan=values.dtype.kind == "f"), name
+    rows = [[{**row, "seconds": ""} for row in table(each)] for each in (folder, other)]
+    assert rows[0] == rows[1]

@@ -72,7 +72,7 @@ def test_the_words_of_the_command_are_started(submit, tmp_path, words, environme
         ({"STATUS": "127"}, None),
     ],
 )
-def test_what_has_died_comes_back_and_what_has_failed_does_not(submit, environment, requeued):
+def test_a_job_that_died_comes_back_and_one_that_failed_does_not(submit, environment, requeued):
     assert submit("sweep", "a.toml", **environment) == (requeued, int(environment["STATUS"]))
 
 
@@ -81,9 +81,5 @@ def test_what_has_died_comes_back_and_what_has_failed_does_not(submit, environme
     [([signal.SIGUSR1], "requeue 7"), ([signal.SIGTERM], None)],
     ids=["wall limit", "scancel"],
 )
-def test_what_is_stopped_at_the_wall_limit_comes_back(submit, signals, requeued):
+def test_a_job_stopped_at_the_wall_limit_comes_back(submit, signals, requeued):
     assert submit("run", "a.toml", signals=signals) == (requeued, 1)
-
-
-def test_jobs_inherit_no_loopback_interface():
-    assert "btl_tcp_if_include" not in (ROOT / "scripts" / "setup.sh").read_text("utf-8")
