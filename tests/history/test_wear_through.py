@@ -9,7 +9,6 @@ from mpi4py import MPI
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.history import step_control
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
@@ -184,14 +183,6 @@ def test_derivatives_are_those_of_differences(pair, scheme):
             assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
             most = 1e-2 if scheme == "adaptive" else 1e-3  # whose given ends are at interfaces
             assert np.abs(change - derivative).max() < most * size + noise, (key, name)
-
-
-def test_an_interface_that_no_step_ends_at_names_the_element(pair, monkeypatch):
-    monkeypatch.setattr(step_control, "_is_short", lambda time, end: end > time)
-    with pytest.raises(
-        rw.ComputationError, match=r"lower\.layers\[0\], element \d+ \(r = .*\); in"
-    ):
-        simulate_one(case_of(**SCHEMES["implicit"]), ALONE, pair=pair)
 
 
 def test_the_error_of_a_step_is_that_of_all_its_parts(pair, monkeypatch):
