@@ -51,7 +51,7 @@ COMPANIES = {
     "displacements": (
         {"load.control": "displacement", "load.pressure": None, "load.displacement": 0.1},
         [{"load.displacement": x} for x in
-         (0.02, 0.05, [[0.0, 0.05], [30.0, -0.01], [50.0, -0.01], [60.0, 0.06]])],
+         (0.02, 0.05, [[0.0, 0.05], [30.0, 0.0], [50.0, 0.0], [60.0, 0.06]])],
     ),
     "speeds": ({}, [{"load.omega": x} for x in
                     (3.5, [[0.0, 0.0], [25.0, 4.0], [60.0, 1.0]], 0.5)]),

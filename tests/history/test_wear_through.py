@@ -1,10 +1,7 @@
-"""Histories that wear through layers: balances, accuracy, thresholds, batches, ranks."""
-
-import itertools
+"""Histories that wear through layers: balances, accuracy, thresholds, derivatives."""
 
 import numpy as np
 import pytest
-from changed_steps import change_steps
 from mpi4py import MPI
 from paths import CASES
 
@@ -183,25 +180,3 @@ def test_derivatives_are_those_of_differences(pair, scheme):
             assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
             most = 1e-2 if scheme == "adaptive" else 1e-3  # whose given ends are at interfaces
             assert np.abs(change - derivative).max() < most * size + noise, (key, name)
-
-
-def test_the_error_of_a_step_is_that_of_all_its_parts(pair, monkeypatch):
-    parts = []
-
-    def noted(scheme, physics, contacts, state, end):
-        step = scheme(physics, contacts, state, end)
-        if not np.any(step.too_far):
-            parts.append((float(step.state.time[0]), float(step.history_error[0])))
-        return step
-
-    change_steps(monkeypatch, noted)
-    history = trace(case_of({"thickness": 5e-4}, **SCHEMES["implicit"]), ALONE, pair=pair)
-    errors, split = [0.0], 0
-    for before, after in itertools.pairwise(state.time for state in history.states):
-        within = [error for time, error in parts if before < time <= after]
-        errors.append(sum(within))
-        split += len(within) > 1
-    assert split
-    made = [float(snapshot.progress.step_error[0]) for snapshot in history.snapshots]
-    assert made == pytest.approx(errors, rel=1e-12)
-    assert history.balances.step_error == max(made)

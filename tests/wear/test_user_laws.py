@@ -100,7 +100,7 @@ def test_bad_objects_are_refused_as_bad_files_are(law, comm, bad, words):
         simulate(case, comm)
 
 
-def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, tmp_path, comm):
+def test_a_law_that_fails_during_work_is_an_error_with_time_and_element(law, tmp_path, comm):
     late = "import numpy as np\n" + GOOD.replace(
         "1e-8 * at.speed * p", "np.where(at.time > 5, -1.0, 1e-8 * at.speed * p)"
     )
@@ -118,7 +118,7 @@ def test_restart_wants_the_same_law(law, tmp_path, comm):
     run_case(PAPER, output, [*keys, "time.end=40"], comm=comm, restart=True)
 
 
-def test_wear_that_grows_too_fast_with_itself_is_told(law, tmp_path, comm):
+def test_wear_that_grows_too_fast_with_itself_is_an_error(law, tmp_path, comm):
     """Fixed steps say so; adaptive ones become smaller until half of the body is gone."""
     growing = """
 def rate(p, at): return 1e-8 * at.speed * p * (1 + at.wear / 1e-3)
