@@ -57,11 +57,13 @@ def test_what_is_drawn_is_what_is_stored(runs):
 
 
 def test_wrong_files(runs, tmp_path):
-    for source, panel, word in ((runs[2], "pressure", "pressure"), (PAPER, "wear", "not a result"),
+    text = tmp_path / "notes.h5"
+    text.write_text("notes")
+    for source, panel, word in ((runs[2], "pressure", "pressure"), (text, "wear", "not a result"),
                                 (runs[0], "wear,warmth", "warmth")):  # fmt: skip
         with pytest.raises(rw.InputError, match=word):
             plot_stored([source], tmp_path / "a.png", panel)
-    assert not list(tmp_path.iterdir())
+    assert list(tmp_path.iterdir()) == [text]
 
 
 @pytest.mark.parametrize("case", ["fields", "crown", "coated"])

@@ -83,4 +83,4 @@ def test_a_longer_run_has_all_numbers_and_counts(keys, tmp_path, comm):
     assert_same(whole, parts)
     one, other = counts(whole), counts(parts)
     assert one == other
-    assert one["checkpoint/assemblies"] > (4 if len(keys) > 2 else 0)
+    assert MOVING[0] not in keys or one["checkpoint/assemblies"] > 4
