@@ -81,7 +81,8 @@ def with_memory(monkeypatch):
 @pytest.fixture(scope="session")
 def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
-    from reference_cases import Mesh, paper_case
+    from parts import Mesh
+    from reference_cases import paper_case
 
     import ringwear_par as rw
 

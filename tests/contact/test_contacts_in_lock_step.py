@@ -1,4 +1,4 @@
-"""Many contact problems in lock step: optimality, and the inverses behind it."""
+"""Many contact problems at once: each meets its conditions, and has what it has alone."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from parts import (
 )
 
 import ringwear_par as rw
-from ringwear_par.contact import hessians
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import KKT_TOLERANCE
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -49,14 +48,14 @@ def wear_of(name):
                          (average, None))  # fmt: skip
 
 
-def engine_of(which, tao_type=None):
+def engine_of(tao_type=None):
     """An engine of histories that have these compliances."""
-    return ContactEngine(ScaledCompliances.of(COMPLIANCES, AREA), which, tao_type)
+    return ContactEngine(ScaledCompliances.of(COMPLIANCES, AREA), WHICH, tao_type)
 
 
 @pytest.fixture
 def solver():
-    with engine_of(WHICH) as engine:
+    with engine_of() as engine:
         yield engine
 
 
@@ -71,7 +70,7 @@ def test_every_history_meets_its_conditions(comm, name, control, way):
     """Pressures >= 0, gaps >= 0, one of them 0, the load; and as it is found alone."""
     ours = way == "ours"
     wear, load = None if name is None else wear_of(name), load_of(control)
-    with engine_of(WHICH, None if ours else way) as engine:
+    with engine_of(None if ours else way) as engine:
         found = engine.solve(GAP, **load, wear=wear)
     touched = 0
     for i in range(B):
@@ -89,9 +88,8 @@ def test_every_history_meets_its_conditions(comm, name, control, way):
             assert AREA @ p == pytest.approx(FORCE[i], rel=1e-12 if ours else 1e-10)
         with OneContact(COMPLIANCES[WHICH[i]], AREA) as single:
             exact = single.solve(GAP[i], **{control: load[control][i]}, wear=own)
-        error = 2e-11 if ours else 1e-9
-        assert np.abs(p - exact.pressure).max() <= error * max(exact.pressure.max(), 1e-300)
-        assert found.approach[i] == pytest.approx(exact.approach, rel=error)
+        assert np.abs(p - exact.pressure).max() <= 1e-9 * max(exact.pressure.max(), 1e-300)
+        assert found.approach[i] == pytest.approx(exact.approach, rel=1e-9)
     assert touched > 2  # some are in partial contact
     assert found.residual.max() <= KKT_TOLERANCE
 
@@ -107,56 +105,12 @@ def test_no_force_is_no_pressure(solver):
     assert not solver.derivatives.response(GAP)[4].any()
 
 
-def test_who_cannot_be_solved_is_named(solver):
+def test_contacts_that_cannot_be_solved_are_named(solver):
     gap = GAP.copy()
     gap[[2, 7]] = np.nan
     with pytest.raises(HistoriesError) as caught:
         solver.solve(gap, force=FORCE)
     assert np.flatnonzero(caught.value.which).tolist() == [2, 7]
-
-
-def hessians_of(n, count):
-    """Hessians of two compliances, n elements, with slopes in proportion to speeds on some."""
-    base = np.exp(-np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / 5.0)
-    area, which = RNG.uniform(1.0, 2.0, n), np.arange(count) % 2
-    speed = RNG.uniform(1.0, 2.0, (2, n))
-    compliances = ScaledCompliances.of(np.array([base, 2.0 * base]), area, speed)
-    made = hessians.Hessians(compliances, which)
-    shape = compliances.speed[which]
-    made.blocks.slopes[:] = np.where(RNG.uniform(size=(count, n)) < 0.7, shape, 0.0)
-    made.blocks.slopes[::3] *= RNG.uniform(0.0, 1e3, (len(made.blocks.slopes[::3]), 1))
-    return made, compliances.matrices, compliances.weights[which]
-
-
-@pytest.mark.parametrize("n", [1, 7, 8, 37, 64])
-@pytest.mark.parametrize("kind", ["speed", "any shape", "coupled"])
-def test_inverses_are_those_of_each_system(n, kind):
-    """On the elements in contact; steps carry the force that is missing."""
-    made, matrices, weights = hessians_of(n, 16)
-    free = RNG.uniform(size=(16, n)) < 0.8
-    free[1] = free[:, 0] = True
-    if kind == "any shape":
-        made.blocks.slopes[:] = RNG.uniform(0.0, 1.0, (16, n))
-    if kind == "coupled":
-        coupling = RNG.uniform(-0.01, 0.01, (16, n, n))
-        made.coupling = coupling + coupling.transpose(0, 2, 1)
-    asked, right, missing = np.array([0, 1, 6, 9, 15]), RNG.normal(size=(5, n)), np.arange(5.0)
-    made.refresh(asked, free)
-    out = made.solve(asked, np.array([right, 2.0 * right]))
-    steps, changes = made.steps(asked, right, missing, hessians.SOLVED)
-    for place, i in enumerate(asked):
-        on = np.flatnonzero(free[i])
-        block = matrices[i % 2] + np.diag(made.blocks.slopes[i])
-        if kind == "coupled":
-            block = block + made.coupling[i]
-        exact, border = np.zeros(n), np.zeros(n)
-        exact[on] = np.linalg.solve(block[np.ix_(on, on)], right[place, on])
-        border[on] = np.linalg.solve(block[np.ix_(on, on)], weights[i, on])
-        assert out[:, place] == pytest.approx(np.array([exact, 2.0 * exact]), rel=1e-10, abs=1e-11)
-        change = (missing[place] + weights[i] @ exact) / (weights[i] @ border)
-        assert changes[place] == pytest.approx(change, rel=1e-10)
-        assert steps[place] == pytest.approx(change * border - exact, abs=1e-10)
-        assert weights[i] @ steps[place] == pytest.approx(missing[place], abs=1e-10)
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -36,7 +36,7 @@ PLACES = {
     "history.observers.trace": "Trace trace",
     "history.physics": "Physics",
     "history.refusals.stable_steps": "stable_steps",
-    "history.start": "first_contact",
+    "history.start": "first_contact initial_state",
     "identification.definition.fit_file": "read_fit",
     "identification.definition.problem": "ProcessNoise Series",
     "identification.fitted_values": "FittedValues law_names",

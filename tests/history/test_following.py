@@ -113,13 +113,13 @@ def test_bodies_that_interpenetrate_too_much(comm):
                 states(one, comm)
 
 
-def test_contact_that_reaches_an_open_end_is_told(comm):
+def test_contact_that_reaches_an_open_end_is_an_error(comm):
     mesh = Mesh(16, contact=(29.0, 31.5))
     with pytest.raises(rw.ComputationError, match=r"mesh\.contact at r = 29 mm"):
         states(replace(paper_case(mesh), time=Stepping("implicit", 1.0, 1)), comm)
 
 
-def test_places_that_stand_out_are_told_with_where(comm):
+def test_places_that_stand_out_are_an_error_with_the_place(comm):
     """As where a layer hardly wears and what is under it does."""
     wear = np.zeros((2, 24))
     wear[0] = 8.0

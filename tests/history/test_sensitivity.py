@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from mpi4py import MPI
-from parts import D_HISTORIES, D_PROFILES, Recorder, computed
+from parts import D_HISTORIES, D_PROFILES, Recorder
 from paths import CASES, PAPER
 
 import ringwear_par as rw
@@ -123,30 +123,21 @@ def off_differences(case, pair, keys, times=None, step=1e-6):
     return worst
 
 
-# -- derivatives are those of the history ----------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("law", "scheme", "changes"),
     [
         ("threshold", "adaptive", {"upper.profile": CROWN}),
-        ("two bodies", "adaptive", {"upper.profile": CROWN, "wear.lower.p0": 40.0}),
         ("memory", "implicit", {"upper.profile": CROWN}),
         ("power", "explicit", {"upper.profile": CROWN}),
         ("non-local", "implicit", {"upper.profile": CROWN}),
         ("two bodies", "adaptive", {"load.pressure": VARYING}),
         ("two bodies", "adaptive", {"contact.friction": [[0.0, 0.05], [12.0, 0.2]]}),
-        ("threshold", "explicit", {"contact.friction": [[0.0, 0.05], [0.3, 0.2]]}),
-        ("memory", "implicit", {"load.pressure": VARYING}),
         ("threshold", "adaptive", {"load.control": "displacement", "load.displacement": 0.04}),
         ("distance", "implicit", {"load.control": "displacement", "load.displacement": 0.04}),
         ("two bodies", "adaptive", {"load.omega": VARYING, "upper.chamfer": 0.3}),
         ("threshold", "adaptive", {"output.times": [7.0, 21.0]}),
         ("user", "adaptive", {"lower.r": [29.0, 40.0]}),
         ("table", "explicit", {}),
-        ("power", "adaptive", {}),
-        ("distance", "explicit", {}),
-        ("non-local", "adaptive", {}),
     ],
 )
 def test_derivatives_are_central_differences(tmp_path, law, scheme, changes):
@@ -160,20 +151,9 @@ def test_derivatives_are_central_differences(tmp_path, law, scheme, changes):
     assert off_differences(case, pair, keys, times) < 1e-6
 
 
-def test_elements_that_enter_within_steps_are_differentiated(tmp_path, monkeypatch):
-    from ringwear_par.history.schemes import sdirk2
-
-    find, late = sdirk2.find_closing_elements, []
-
-    def noted(*args):
-        late.append(find(*args))
-        return late[-1]
-
-    monkeypatch.setattr(sdirk2, "find_closing_elements", noted)
+def test_elements_that_enter_within_steps_are_differentiated():
     case = rw.read_case(CASES / "crown.toml", {"mesh.contact_elements": 16})
-    pair = assemble(case, ALONE)
-    assert off_differences(case, pair, list(numbers_of(case))) < 1e-6
-    assert sum(each is not None for each in late) > len(late) / 5
+    assert off_differences(case, assemble(case, ALONE), list(numbers_of(case))) < 1e-6
 
 
 def test_objects_of_users_are_differentiated(tmp_path):
@@ -198,98 +178,19 @@ def test_objects_of_users_are_differentiated(tmp_path):
         np.testing.assert_allclose(slope, central, atol=1e-6 * np.abs(slope).max())
 
 
-# -- whoever the others are ------------------------------------------------------------------------
-
-
-def columns_of(cases, pair, keys=(), times=None, batch=None):
-    """Results of cases computed together, in their order."""
-    found = {}
-    for block in computed(
-        cases, pair, batch=batch, results=True, derivatives=keys, step_times=times
-    ):
-        assert not block.failures
-        found.update(zip(block.numbers, block.results(), strict=True))
-    return [found[number] for number in range(len(cases))]
-
-
-def same(one, other, derivatives=True):
-    """Whether two results are the same to the last bit."""
-    kinds = ("histories", "profiles", *(["derivatives"] if derivatives else []))
-    return all(
-        np.array_equal(there, getattr(other, kind)[name])
-        for kind in kinds
-        for name, there in getattr(one, kind).items()
-    )
-
-
-@pytest.mark.parametrize(
-    ("law", "scheme"),
-    [
-        ("two bodies", "adaptive"),
-        ("power", "adaptive"),
-        ("memory", "implicit"),
-        ("non-local", "implicit"),
-        ("user", "explicit"),
-        ("two bodies", "explicit"),
-    ],
-)
-def test_histories_in_lock_step(tmp_path, law, scheme, caplog):
-    """Derivatives do not depend on the others, and change nothing; alone they are the same."""
-    base = case_of(tmp_path, law, scheme, **{"upper.profile": CROWN})
-    cases = [
-        base.replace(
-            {
-                "load.pressure": 30.0 + 25.0 * i,
-                "contact.friction": 0.1 + 0.03 * i,
-                "lower.young": 1e4 * (1 + i % 2),
-            }
-        )
-        for i in range(3)
-    ]
-    pair, numbers = assemble(base, ALONE), numbers_of(base)
-    keys = list(numbers)
-    together = columns_of(cases, pair, keys)
-    assert all(map(same, together, columns_of(cases, pair, keys, batch=2)))
-    assert all(
-        same(columns_of([c], pair, keys)[0], r) for c, r in zip(cases, together, strict=True)
-    )
-    assert not caplog.records  # such as of histories that cannot step together
-    for one, other in zip(columns_of(cases, pair), together, strict=True):
-        assert same(one, other, derivatives=False)
-    ends = [r.histories["time"][1:].tolist() for r in together]
-    frozen = columns_of(cases, pair, keys, times=ends)
-    for case, result, given, times in zip(cases, together, frozen, ends, strict=True):
-        alone = history(case, pair, keys, times)
-        assert same(history(case, pair, (), times), alone, derivatives=False)
-        size = sizes(case, alone, keys)
-        for name, slopes in alone.derivatives.items():
-            rows = len(keys)
-            scale = np.maximum(size[name], np.abs(slopes).reshape(rows, -1).max(axis=1))[:, None]
-            for those in (result, given):
-                off = np.abs(slopes - those.derivatives[name]).reshape(rows, -1)
-                assert (off <= 1e-9 * scale).all(), name
-
-
 def test_steps_that_are_given(tmp_path):
-    case = case_of(tmp_path)
+    case, keys = case_of(tmp_path), ["wear.lower.k"]
     pair = assemble(case, ALONE)
-    whole = history(case, pair, ["wear.lower.k"])
+    whole = history(case, pair, keys)
     ends = whole.histories["time"][1:].tolist()
-    assert same(whole, history(case, pair, ["wear.lower.k"], ends))
+    again = history(case, pair, keys, ends)
+    np.testing.assert_allclose(again.derivatives["d_wear_lower"], whole.derivatives["d_wear_lower"],
+                               rtol=1e-12, atol=1e-12)  # fmt: skip
     twice = sorted([*ends, *(0.5 * (a + b) for a, b in zip([0.0, *ends], ends, strict=False))])
     assert history(case, pair, (), twice).histories["time"][1:].tolist() == twice
-    for wrong in (ends[:-1], [], [*ends[::-1]], [*ends, ends[-1]]):
-        with pytest.raises(ValueError, match="step_times: must increase from 0 to 30 s"):
-            history(case, pair, (), wrong)
+    for wrong in (ends[:-1], [], ends[::-1]):
         with pytest.raises(ValueError, match="step_times"):
-            columns_of([case], pair, (), [wrong])
-    fixed = case_of(tmp_path, scheme="implicit")
-    uneven = [1.0, 2.5, 32.0]
-    with pytest.raises(ValueError, match="must be 8 of them"):
-        history(fixed, pair, (), uneven)
-
-
-# -- what users see --------------------------------------------------------------------------------
+            history(case, pair, (), wrong)
 
 
 def test_results_hold_derivatives(tmp_path, comm):
@@ -314,47 +215,33 @@ def test_results_hold_derivatives(tmp_path, comm):
 
 
 def test_files_hold_derivatives(tmp_path):
-    xarray = pytest.importorskip("xarray")
     case = case_of(tmp_path, scheme="implicit", **{"output.profiles": "last"})
     result = rw.simulate(case, ALONE, derivatives=["contact.friction", "wear.lower.k"])
     result.save(tmp_path / "run.h5")
-    again = rw.open_result(tmp_path / "run.h5")
-    assert same(result, again)
-    assert again.parameters == {"contact.friction": "1", "wear.lower.k": "1/MPa"}
-    with xarray.open_dataset(tmp_path / "run.h5", engine="h5netcdf") as data:
-        made = result.to_xarray()
-        xarray.testing.assert_equal(data, made)
-        slope = data["d_wear_lower"].sel(parameter="wear.lower.k")
-        assert slope.dims == ("element",)
-        assert data["d_torque"].dims == ("parameter", "step")
-        assert data["d_torque"].attrs["units"] == "N mm/parameter_unit"
-        assert data["parameter_unit"].sel(parameter="wear.lower.k").item() == "1/MPa"
+    data = rw.open_result(tmp_path / "run.h5").to_xarray()
+    assert data.equals(result.to_xarray())
+    assert data["d_wear_lower"].sel(parameter="wear.lower.k").dims == ("element",)
+    assert data["d_torque"].dims == ("parameter", "step")
+    assert data["d_torque"].attrs["units"] == "N mm/parameter_unit"
+    assert data["parameter_unit"].sel(parameter="wear.lower.k").item() == "1/MPa"
     plain = rw.simulate(case, ALONE)
     assert not plain.derivatives
-    assert same(plain, result, derivatives=False)
+    assert all(np.array_equal(plain.histories[n], v) for n, v in result.histories.items())
 
 
 @pytest.mark.parametrize(
-    ("keys", "message"),
+    ("keys", "words"),
     [
-        (["wear.lower.kk"], "wear.lower.kk"),
-        (["wear.upper.k"], "wear.upper.k"),
-        (["load.omega"], "load.omega"),
-        (["wear.lower.k", "wear.lower.k"], "once"),
-        ("wear.lower.k", "list"),
-        ([1.0], "list"),
+        (["wear.lower.kk"], "wear.lower.kk"), (["load.omega"], "load.omega"),
+        (["wear.lower.k", "wear.lower.k"], "once"), ("wear.lower.k", "list"),
     ],
-)
-def test_derivatives_that_there_are_not(tmp_path, keys, message):
+)  # fmt: skip
+def test_derivatives_that_there_are_not(tmp_path, keys, words):
     case = case_of(tmp_path, **{"load.omega": VARYING})
-    with pytest.raises(rw.InputError, match=message):
+    with pytest.raises(rw.InputError, match=words):
         rw.simulate(case, ALONE, derivatives=keys)
     (failed,) = rw.simulate_all([case], ALONE, derivatives=keys)
-    with pytest.raises(rw.InputError, match=message):
-        raise failed.error
-
-
-def test_no_derivatives_where_elements_follow_the_wear(tmp_path):
-    case = case_of(tmp_path, **{"mesh.geometry": "updated"})
+    assert words in str(failed.error)
+    moving = case_of(tmp_path, **{"mesh.geometry": "updated"})
     with pytest.raises(rw.InputError, match=r"mesh\.geometry"):
-        rw.simulate(case, ALONE, derivatives=["wear.lower.k"])
+        rw.simulate(moving, ALONE, derivatives=["wear.lower.k"])

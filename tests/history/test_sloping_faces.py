@@ -17,7 +17,6 @@ from parts import (
     common_slope,
     compliance,
     node_wear,
-    validity_warnings,
 )
 from paths import CASES, PAPER
 from reference_cases import CONTACT, Rings, ring_case
@@ -26,15 +25,13 @@ from wearing import sliding
 import ringwear_par as rw
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
-from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 
-CHAMFER, PAPER = CASES / "chamfer.toml", PAPER
+CHAMFER = CASES / "chamfer.toml"
 DEGREES = 10.0
 COS = math.cos(math.radians(DEGREES))
 K = (1e-7, 3e-7)
@@ -46,9 +43,6 @@ def cones(comm):
     case = ring_case(Rings(CONTACT, (1e4, 1e5), DEGREES), Mesh(24),
                      Stepping("implicit", 2.0, 5), K)  # fmt: skip
     return case, assemble(case, comm)
-
-
-# -- true areas ------------------------------------------------------------------------------------
 
 
 def test_torque_and_energy_are_those_of_the_true_area(cones, comm):
@@ -128,9 +122,6 @@ def test_running_in_remembers_depths_along_the_normal(cones, comm):
     assert depth.max() > 0.3 * law.depth
 
 
-# -- the increment of a step, which is part of the contact problem ---------------------------------
-
-
 def increment(line, laws, obliquity, step=3.0):
     """The wear of a step on faces whose slope differs from element to element."""
     at = replace(sliding(0.1 * line.arm, wear=np.full(line.n, 1e-5)), r=line.r)
@@ -141,17 +132,9 @@ def increment(line, laws, obliquity, step=3.0):
     return WearIncrement(laws, (at, at), step, averages, obliquity)
 
 
-def orders(f, slope, direction):
-    """Orders of Taylor remainders of first order, of halved steps."""
-    steps = 0.5 ** np.arange(4)
-    left = [np.abs(f(h * direction) - f(0.0 * direction) - h * slope).max() for h in steps]
-    assert left[0] > 0.0
-    return np.log2(np.array(left[:-1]) / left[1:])
-
-
 @pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
 def test_potential_depth_and_jacobian_of_a_step_go_together(cones, laws):
-    """Its gradient is the area-weighted depth, and the Hessian symmetric: Taylor remainders."""
+    """Its gradient is the area-weighted depth, and the Hessian symmetric."""
     line = cones[1].line
     x = np.linspace(0.0, 1.0, line.n)
     obliquity = np.hypot(1.0, np.sin(4.0 * x))
@@ -174,13 +157,9 @@ def test_potential_depth_and_jacobian_of_a_step_go_together(cones, laws):
     weighted = area[:, None] * jacobian
     assert np.abs(weighted - weighted.T).max() < 1e-11 * weighted.max()
     assert np.linalg.eigvalsh(0.5 * (weighted + weighted.T)).min() > -1e-11 * weighted.max()
-    assert (orders(total, area @ (step.depth(p) * direction), direction) > 1.9).all()
     # an average of depths would be another potential; depths of the step and rates are one
     assert step.depths(p).sum(axis=0) == pytest.approx(step.depth(p), rel=1e-12)
     assert 3.0 * step.rates(p) == pytest.approx(step.depths(p), rel=1e-9)
-
-
-# -- faces that turn as they wear ------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -239,36 +218,14 @@ def test_a_body_that_does_not_wear_is_solved_again_when_the_slope_turns(cutting,
         ):  # fmt: skip
             found = getattr(pairs[1], name)[i]
             assert np.abs(found - exact).max() <= 1e-12 * np.abs(exact).max(), name
-    # deeper by the same everywhere: the slope stays, and so does the upper body
-    uniform = np.stack([np.full(n, 0.01), np.zeros(n)])
-    first = moving.update(uniform)
-    again = moving.update(2.0 * uniform)
-    assert np.array_equal(first.slope, again.slope)
-    assert np.array_equal(first.normal[1], again.normal[1])
-    assert not np.array_equal(first.normal[0], again.normal[0])
-    assert again.cost.kernel_evaluations < first.cost.kernel_evaluations
-
-
-# -- doubts ----------------------------------------------------------------------------------------
 
 
 def flags(case, comm):
-    """Doubts about the last state of a history, by their flags."""
-    found = {}
-
-    def look(snapshot):
-        if snapshot.finished:
-            worst = WorstStates(case)
-            worst(snapshot)
-            own = validity_warnings(case, worst.worst(np.array([0])))
-            found.update({doubt.code: doubt.text for doubt in own})
-        return False
-
-    simulate_one(case, comm, observers=[look])
-    return found
+    """Doubts about a history, by their codes."""
+    return {doubt.code: doubt.text for doubt in rw.simulate(case, comm).doubts}
 
 
-def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
+def test_a_steep_cone_that_bears_on_a_flat_face_is_doubted_with_its_place(comm):
     steep = {
         "mesh.contact_elements": 24, "time.steps": 2,
         "upper.profile": [[28.5, 20.9], [30.0, 20.0], [31.5, 20.9]], "load.pressure": 20.0,
@@ -276,20 +233,13 @@ def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
     }  # fmt: skip
     case = rw.read_case(PAPER, steep)
     text = flags(case, comm)["unlike_slopes"]
-    words = text.split()
-    r = float(words[words.index("r") + 2])
+    r = float(text.split("r = ")[1].split()[0])
     assert np.abs(case.line.r - r).min() < 1e-4
     assert abs(r - 30.0) < 0.5
-    assert "upper by" in text
     angle = float(text.split("upper by ")[1].split()[0])
     assert abs(angle) == pytest.approx(math.degrees(math.atan(0.9 / 1.5)), rel=1e-2)
-    share = float(text.split()[0])
-    assert 5.0 < share <= 100.0
-    assert text.count("\n") == 0
-    assert 'mesh.geometry = "updated" follows the worn faces' in text
-    gentle = rw.read_case(
-        PAPER, {**steep, "upper.profile": [[28.5, 20.1], [30.0, 20.0], [31.5, 20.1]]}
-    )
+    assert 5.0 < float(text.split()[0]) <= 100.0
+    gentle = case.replace({"upper.profile": [[28.5, 20.1], [30.0, 20.0], [31.5, 20.1]]})
     assert "unlike_slopes" not in flags(gentle, comm)
 
 
@@ -299,8 +249,7 @@ def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_hav
         "mesh.contact_elements": 24, "upper.chamfer": 0.2, "upper.young": 210e3,
         "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 300.0},
     }  # fmt: skip
-    told = flags(rw.read_case(CHAMFER, keys), comm)["unlike_slopes"]
-    assert "the pressure acts as on a slope of 0 degrees" in told
-    assert told.endswith('"updated" follows the worn faces')
-    following = rw.read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
-    assert 'mesh.geometry = "updated"' not in flags(following, comm).get("unlike_slopes", "")
+    case = rw.read_case(CHAMFER, keys)
+    assert "on a slope of 0 degrees" in flags(case, comm)["unlike_slopes"]
+    following = case.replace({"mesh.geometry": "updated"})
+    assert "updated" not in flags(following, comm).get("unlike_slopes", "")

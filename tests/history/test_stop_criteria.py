@@ -29,25 +29,18 @@ def test_each_history_of_a_batch_ends_at_its_own_limit(comm, scheme):
         assert end < len(whole["time"])
         for variable, column in result.histories.items():
             assert np.array_equal(column, whole[variable][:end]), variable
-    ended = f"at t = {results[0].histories['time'][-1]:g} of 40 s, where it reached "
-    for verbose in (False, True):
-        text = results[0].summary(verbose=verbose)
-        assert ended + "stop.penetration = 0.001 mm\n" in text
-        assert "stop." not in results[1].summary(verbose=verbose)
+    assert "stop.penetration = 0.001 mm" in results[0].summary()
+    assert "stop." not in results[1].summary()
 
 
 def test_what_needs_all_of_a_history_refuses_limits(comm):
     case = rw.read_case(PAPER, {**SMALL, **FIXED, "stop.wear_lower": "3 um"})
-    with pytest.raises(
-        rw.InputError,
-        match=r"^function: stop\.wear_lower = 0\.003: must be absent in a function of a case, "
-        r"which needs whole histories$",
-    ):
+    with pytest.raises(rw.InputError, match=r"stop\.wear_lower = 0\.003"):
         rw.function(case, ["wear.lower.k"], ["penetration"])
 
 
 @pytest.mark.parametrize("time", [["time.steps=20"], ["time.scheme=adaptive", "time.end=20"]])
-def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, caplog, time):
+def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, time):
     whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
     keys = ["mesh.contact_elements=12", "output.every=3", *time]
 
@@ -59,9 +52,6 @@ def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, caplog, time):
     run(parts, "0.3 um")
     with pytest.raises(rw.InputError, match=r"\[stop\]"):
         run(parts, "0.2 um", restart=True)
-    with caplog.at_level("INFO"):
-        run(parts, "0.3 um", restart=True)
-    assert "complete since it reached stop.penetration = 0.0003 mm, which may" in caplog.text
     run(parts, "1 um", restart=True)
     assert_same(whole, parts)
     assert 0.0 < rw.open_result(parts).histories["time"][-1] < 20.0

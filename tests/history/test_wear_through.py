@@ -1,15 +1,11 @@
-"""Histories that wear through layers: balances, accuracy, thresholds, batches, ranks."""
-
-import itertools
+"""Histories that wear through layers: balances, accuracy, thresholds, derivatives."""
 
 import numpy as np
 import pytest
-from changed_steps import change_steps
 from mpi4py import MPI
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.history import step_control
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
@@ -184,33 +180,3 @@ def test_derivatives_are_those_of_differences(pair, scheme):
             assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
             most = 1e-2 if scheme == "adaptive" else 1e-3  # whose given ends are at interfaces
             assert np.abs(change - derivative).max() < most * size + noise, (key, name)
-
-
-def test_an_interface_that_no_step_ends_at_names_the_element(pair, monkeypatch):
-    monkeypatch.setattr(step_control, "_is_short", lambda time, end: end > time)
-    with pytest.raises(
-        rw.ComputationError, match=r"lower\.layers\[0\], element \d+ \(r = .*\); in"
-    ):
-        simulate_one(case_of(**SCHEMES["implicit"]), ALONE, pair=pair)
-
-
-def test_the_error_of_a_step_is_that_of_all_its_parts(pair, monkeypatch):
-    parts = []
-
-    def noted(scheme, physics, contacts, state, end):
-        step = scheme(physics, contacts, state, end)
-        if not np.any(step.too_far):
-            parts.append((float(step.state.time[0]), float(step.history_error[0])))
-        return step
-
-    change_steps(monkeypatch, noted)
-    history = trace(case_of({"thickness": 5e-4}, **SCHEMES["implicit"]), ALONE, pair=pair)
-    errors, split = [0.0], 0
-    for before, after in itertools.pairwise(state.time for state in history.states):
-        within = [error for time, error in parts if before < time <= after]
-        errors.append(sum(within))
-        split += len(within) > 1
-    assert split
-    made = [float(snapshot.progress.step_error[0]) for snapshot in history.snapshots]
-    assert made == pytest.approx(errors, rel=1e-12)
-    assert history.balances.step_error == max(made)

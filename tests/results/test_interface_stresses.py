@@ -1,4 +1,4 @@
-"""Stresses along interfaces: balances, neighbours inside, files, ranks, wear, doubts, pictures."""
+"""Stresses along interfaces: balances, neighbours inside, files, wear, doubts, pictures."""
 
 import csv
 
@@ -75,46 +75,32 @@ def test_points_on_a_side_have_the_same(comm):
         np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
 
 
-def test_file_and_dataset(result, tmp_path, comm):
-    path = tmp_path / "run.h5"
-    result.save(path)
-    again = rw.open_result(path)
-    for one, other in zip(again.stress.states, result.stress.states, strict=True):
-        for i in (0, 1):
-            np.testing.assert_array_equal(one.interfaces[i], other.interfaces[i])
-    data = again.to_xarray()
+def test_file_and_dataset(result, tmp_path):
+    result.save(tmp_path / "run.h5")
+    data = rw.open_result(tmp_path / "run.h5").to_xarray()
+    assert data.equals(result.to_xarray())
     assert data.interface_stress_lower.dims == (
         "stress_step", "interface_lower", "side", "interface_element_lower", "component",
     )  # fmt: skip
     assert data.side.values.tolist() == ["above", "below"]
     assert data.interface_z_lower.values == pytest.approx([19.95, 19.75])
     assert data.interface_z_upper.values == pytest.approx([20.2])
-    assert {"interface_r_lower", "interface_z_upper"} <= set(data.coords)
     np.testing.assert_array_equal(
         data.interface_mises_upper, mises(data.interface_stress_upper.values)
     )
-    assert data.interface_stress_upper.units == data.interface_mises_lower.units == "MPa"
-    bare = rw.simulate(case_of(), comm_self()).to_xarray()
-    assert not [name for name in bare.variables if "interface" in name or name == "side"]
 
 
-def comm_self():
-    from mpi4py import MPI
-
-    return MPI.COMM_SELF
-
-
-def worn_through(geometry, step, comm=None, **more):
+def worn_through(geometry, step, **more):
     """A thin hard coating after six steps."""
     thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
     return rw.simulate(
         case_of(lower__layers=[thin], mesh__geometry=geometry, time__steps=6, time__step=step,
-                **{"stress__times": "all", **more}), comm or comm_self()
+                **{"stress__times": "all", **more})
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
-def test_none_where_wear_has_come_through(geometry):
+def test_interfaces_have_no_stress_where_wear_has_come_through(geometry):
     found = worn_through(geometry, 10.0)
     left = found.layers["layer_left_lower"]
     assert 0 < np.count_nonzero(left[-1] == 0.0) < found.line.n
@@ -132,7 +118,7 @@ GRID = {"body": "lower", "r": [28.5, 31.5], "z": [19.9985, 20.0], "n": [31, 2]}
 
 
 @pytest.fixture(scope="module")
-def through(comm):
+def through():
     """Points at the middles of elements and on a grid, in and under a layer that goes in places."""
     line = case_of().line
     sides = ("below", "", "above", "below", "")
@@ -141,7 +127,7 @@ def through(comm):
         for r in line.r[::3].tolist()
         for z, side in zip(HEIGHTS, sides, strict=True)
     ]
-    return worn_through("fixed", 10.0, comm, stress__points=points, stress__grid=GRID)
+    return worn_through("fixed", 10.0, stress__points=points, stress__grid=GRID)
 
 
 def test_points_have_no_stress_in_layers_that_are_worn_through(through):
@@ -165,16 +151,11 @@ def test_points_have_no_stress_in_layers_that_are_worn_through(through):
         np.testing.assert_array_equal(on_grid[1:-1, 1], ~gone[under][1:-1])
 
 
-def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_path):
-    through.save(tmp_path / "run.h5")
-    data = rw.open_result(tmp_path / "run.h5").to_xarray()
+def test_stresses_that_are_left_out_are_in_tables(through, tmp_path):
+    data = through.to_xarray()
     gone = np.isnan(data.mises.values)
-    assert gone[-1].any()
-    assert not gone[0].any()
     np.testing.assert_array_equal(gone, np.isnan(data.stress.values).all(axis=2))
-    np.testing.assert_array_equal(gone, np.isnan(data.max_shear.values))
     assert np.isfinite(data.max_mises.values).all()
-
     export(through, tmp_path / "points.csv", stress=True)
     with (tmp_path / "points.csv").open(newline="") as file:
         table = [float(row["mises (MPa)"] or "nan") for row in csv.DictReader(file)]
@@ -182,22 +163,19 @@ def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_pa
 
 
 def test_points_in_material_that_is_worn_away_are_doubted():
-    """Once, by name; not on faces, nor where a layer has gone, nor where elements follow."""
+    """Not on faces, nor where a layer has gone, nor where elements follow."""
 
-    def doubted(points, **more):
-        found = worn_through("fixed", 30.0, stress__points=points, **more)
+    def doubted(points, geometry="fixed"):
+        found = worn_through(geometry, 30.0, stress__points=points)
         texts = [doubt.text for doubt in found.doubts]
         return [text for text in texts if "stress.points" in text]
 
     face, layer, shallow, deep = [30.0, 20.0, "below"], [30.0, 19.999], [30.0, 19.996], [30.0, 19.9]
     assert doubted([face, layer, deep, [25.0, 19.9999]]) == []
     (text,) = doubted([face, layer, deep, shallow, [29.0, 19.9965]])
-    assert "stress.points[3], at r = 30, z = 19.996 mm, lies 0.004 mm under the unworn face" in text
-    assert "is worn off there at t = 180 s (1 more of stress.points likewise)" in text
-    assert doubted([shallow], stress__times=[0.0]) == []
-    found = worn_through("updated", 30.0, stress__points=[shallow])
-    moved = [doubt.text for doubt in found.doubts]
-    assert not [text for text in moved if "stress.points" in text]
+    for words in ("stress.points[3]", "r = 30, z = 19.996", "0.004 mm", "1 more"):
+        assert words in text
+    assert doubted([shallow], "updated") == []
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
@@ -218,42 +196,26 @@ def test_the_largest_stress_beside_a_free_edge_of_an_interface_is_doubted(result
         return [one.text for one in of.doubts if "free edge of the interface" in one.text]
 
     (text,) = doubted(result)
-    assert "largest von Mises stress of upper" in text
     assert "under upper.layers[0], at r = 28.5, z = 20.2 mm" in text
-    largest = result.stress.states[-1].largest[1]
-    closer = rw.simulate(both_bodies(stress__exclude=0.02), comm_self()).stress.states[-1]
-    assert closer.largest[1].mises > 1.2 * largest.mises
-    assert not doubted(rw.simulate(case_of(lower__layers=[HARD]), comm_self()))
-    alike = {**ALIKE, "young": 1e5}  # as the upper ring
-    assert not doubted(rw.simulate(case_of(upper__layers=[alike]), comm_self()))
+    assert not doubted(rw.simulate(case_of(lower__layers=[HARD])))
+    assert not doubted(rw.simulate(case_of(upper__layers=[{**ALIKE, "young": 1e5}])))
 
 
 def test_pictures_show_what_is_stored(result):
     figure = rw.plot(result, "interfaces", times="0, 60")
     assert len(figure.axes) == 3 * 2 * 2  # interfaces, times, tractions and both sides
     states = [result.stress.states[0], result.stress.states[-1]]
-    tractions, sides = figure.axes[:6], figure.axes[6:]
-    for number, (axes, other) in enumerate(zip(tractions, sides, strict=True)):
+    for number, (axes, other) in enumerate(zip(figure.axes[:6], figure.axes[6:], strict=True)):
         body, layer = ((0, 0), (0, 1), (1, 0))[number // 2]
         stress = states[number % 2].interfaces[body][layer]
-        drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
-        for told, component in (("normal", 2), ("shear", 3), ("friction", 5)):
-            (curve,) = [values for label, values in drawn.items() if label.startswith(told)]
+        drawn = {line.get_label().split()[0]: line.get_ydata() for line in axes.lines}
+        for name, component in (("normal", 2), ("shear", 3), ("friction", 5)):
+            (curve,) = [values for label, values in drawn.items() if label.startswith(name)]
             np.testing.assert_array_equal(curve, stress[0, :, component])
         for line, values in zip(other.lines, mises(stress), strict=False):
             np.testing.assert_array_equal(line.get_ydata(), values)
-        assert f"under layer {layer} of {('lower', 'upper')[body]}" in title(axes)
-        # free edges are infinite: where they are drawn they are shaded, and not what the scale has
-        assert ("shaded: 0.1 mm" in title(other)) == (body == 1)
+        # free edges are infinite: where they are drawn they are not what the scale has
         assert (mises(stress).max() > 1.5 * other.get_ylim()[1]) == (body == 1)
-    assert tractions[0].get_ylim() == tractions[1].get_ylim()
-    plain = rw.simulate(case_of(), comm_self())
-    with pytest.raises(rw.InputError, match="interfaces"):
-        rw.plot(plain, "interfaces")
-
-
-def title(axes):
-    return axes.get_legend().get_title().get_text()
 
 
 def test_exports(result, tmp_path):
@@ -266,7 +228,7 @@ def test_exports(result, tmp_path):
     assert (final["body"], final["layer"], final["side"]) == ("upper", "0", "below")
     assert float(final["zz (MPa)"]) == last.interfaces[1][0, 1, -1, 2]
     assert float(final["mises (MPa)"]) == mises(last.interfaces[1][0, 1, -1])
-    assert "states from 0 to" in export(result, tmp_path / "a.vtkhdf", interfaces=True)
+    export(result, tmp_path / "a.vtkhdf", interfaces=True)
     data = last_state(tmp_path / "a.vtkhdf")
     stress = np.concatenate([each.reshape(-1, 6) for each in last.interfaces])
     np.testing.assert_array_equal(data["stress_zz"], stress[:, 2])
@@ -274,7 +236,3 @@ def test_exports(result, tmp_path):
     corners = data["points"][data["cells"]]
     assert corners.shape[1] == 2
     assert (np.diff(corners[..., 0], axis=1) > 0.0).all()
-    assert (corners[:, 0, 2] == corners[:, 1, 2]).all()
-    for name, more in (("a.csv", {"fields": True}), ("a.vtkhdf", {"stress": True})):
-        with pytest.raises(rw.InputError, match="--interfaces"):
-            export(result, tmp_path / name, interfaces=True, **more)

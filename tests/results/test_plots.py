@@ -30,29 +30,11 @@ def runs(tmp_path_factory, comm):
     return paths
 
 
-@pytest.mark.parametrize(
-    ("panels", "ending"),
-    [("wear,penetration", ".png"), ("pressure", ".pdf"), ("penetration,pressure,wear", ".svg")],
-)
-def test_every_panel_and_format(runs, tmp_path, panels, ending):
-    output = tmp_path / f"figure{ending}"
-    plot_stored(runs[:2], output, panels, "1,10,20")
-    assert output.stat().st_size > 3000
-    assert list(tmp_path.iterdir()) == [output]
-    if ending == ".svg":
-        text = output.read_text()
-        assert text.count("<path") > 10
-
-
-@pytest.mark.parametrize("by_command", [True, False])
-def test_fonts_in_files_are_fonts(runs, tmp_path, by_command):
+def test_fonts_in_files_are_fonts(runs, tmp_path):
     """Publishers refuse Type 3; texts in drawings can be searched and edited."""
     pdf, svg = tmp_path / "figure.pdf", tmp_path / "figure.svg"
     for path in (pdf, svg):
-        if by_command:
-            plot_stored(runs[:1], path)
-        else:
-            plot(runs[:1]).savefig(path)
+        plot_stored(runs[:1], path)
     fonts = re.findall(rb"/Type\s*/Font\s*/Subtype\s*/(\w+)", pdf.read_bytes())
     assert b"Type0" in fonts
     assert b"Type3" not in fonts
@@ -72,15 +54,16 @@ def test_what_is_drawn_is_what_is_stored(runs):
     assert wear.yaxis_inverted()  # as in figures of fits
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
-    assert penetration.lines[1].get_marker() == ""
 
 
 def test_wrong_files(runs, tmp_path):
-    with pytest.raises(rw.InputError, match="pressure"):
-        plot_stored([runs[2]], tmp_path / "a.png", "pressure")
-    with pytest.raises(rw.InputError, match="not a result"):
-        plot([PAPER])
-    assert not list(tmp_path.iterdir())
+    text = tmp_path / "notes.h5"
+    text.write_text("notes")
+    for source, panel, word in ((runs[2], "pressure", "pressure"), (text, "wear", "not a result"),
+                                (runs[0], "wear,warmth", "warmth")):  # fmt: skip
+        with pytest.raises(rw.InputError, match=word):
+            plot_stored([source], tmp_path / "a.png", panel)
+    assert list(tmp_path.iterdir()) == [text]
 
 
 @pytest.mark.parametrize("case", ["fields", "crown", "coated"])
@@ -92,8 +75,6 @@ def test_deformed_sections(tmp_path, comm, case):
         "crown": ["time.end=20"],
     }[case]  # fmt: skip
     run_case(PAPER.with_name(f"{case}.toml"), run, words, comm=comm)
-    plot_stored([run], tmp_path / "a.png", "section,pressure")
-    assert (tmp_path / "a.png").stat().st_size > 3000
     axes = plot(run, ["section"]).axes[0]
     assert axes.get_aspect() == 1.0
     assert "mm" in axes.get_xlabel()
@@ -114,34 +95,18 @@ def test_deformed_sections(tmp_path, comm, case):
     gap = factor * result.profiles["gap"][-1]
     assert height[1] - height[0] == pytest.approx(gap, abs=3e-3 * size)
     assert (gap.max() > 0.01 * size) == (case == "crown")
-    told = axes.get_title()
-    assert ("shape" in told) == (case == "crown")
-    assert ("layers 1\N{MULTIPLICATION SIGN}" in told) == (case == "coated")
     (colours,) = axes.collections
     p = state.bodies[0].pressure[state.bodies[0].face == 1]
     assert np.array_equal(np.sort(np.asarray(colours.get_array())), np.sort(p))
 
 
 def test_results_and_files_are_drawn_alike(runs, tmp_path):
-    from parts import save_figure
-
     first, second = map(open_result, runs[:2])
-    sources = [[first, str(runs[1])], [runs[0], second], runs[:2]]
     drawn = []
-    for number, several in enumerate(sources):
-        figure = plot(several, ["wear", "penetration"], profiles_of=several[1:])
-        assert len(figure.axes) == 2
+    for number, several in enumerate(([first, str(runs[1])], [runs[0], second], runs[:2])):
         drawn.append(tmp_path / f"{number}.png")
-        save_figure(figure, drawn[-1])
+        plot(several, ["wear", "penetration"], profiles_of=several[1:]).savefig(drawn[-1])
     assert len({path.read_bytes() for path in drawn}) == 1
-    drawn.append(tmp_path / "plain.png")  # the figure takes its style along
-    figure.savefig(drawn[-1], dpi=200)
-    assert len({path.read_bytes() for path in drawn}) == 1
-    alone = [plot(source, "penetration").axes[0] for source in (first, runs[0], str(runs[0]))]
-    assert all(
-        np.array_equal(axes.lines[0].get_ydata(), 1e3 * first.histories["penetration"])
-        for axes in alone
-    )
     with pytest.raises(rw.InputError, match="result files"):
         plot([first], profiles_of=[second])
 
@@ -179,72 +144,42 @@ def test_profiles_at_times_are_those_of_the_nearest_states(runs):
     assert [t.get_text() for t in axes.get_legend().texts] == ["0 s", "5 s", "15 s"]
 
 
-def test_times_without_a_stored_state_are_told(runs, caplog):
-    """Of all that are drawn once, and only where it can be seen."""
+def test_what_is_not_stored_is_a_message_beside_what_is(runs, caplog):
     plot(runs[2], "penetration")
     assert not caplog.messages
     plot(runs[1], "wear,pressure", times="5.04, 15.4, 0.25 min")
-    (told,) = caplog.messages
-    assert "15.4" in told
-    assert "15 s" in told
-
-
-def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
+    (message,) = caplog.messages  # once, and only where it can be seen
+    assert "15.4" in message
+    caplog.clear()
     figure = plot(runs[:2], "wear,section,penetration")
     assert len(figure.axes) == 3  # two panels of wear
     assert [message.partition(" ")[0] for message in caplog.messages] == ["section"] * 2
-    (axes,) = plot(runs[2], "wear,penetration,pressure").axes
-    assert axes.get_ylabel().startswith("penetration")
-    with pytest.raises(rw.InputError, match="warmth"):
-        plot(runs[0], "wear,warmth")
-
-
-def test_labels_name_the_body_where_both_have_the_key(tmp_path, comm):
-    paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
-    for path, young in zip(paths, (1e3, 2e3), strict=True):
-        keys = ["mesh.contact_elements=12", "time.steps=1", f"upper.young={young}"]
-        run_case(PAPER, path, keys, comm=comm)
-    for text in plot(paths, "penetration").axes[0].get_legend().texts:
-        assert text.get_text().startswith("Young's modulus E of upper = ")
 
 
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
-    from ringwear_par.results.key_numbers import time_unit
-
-    run_case(
-        PAPER, tmp_path / "a.h5",
-        ["mesh.contact_elements=16", "time.steps=4", "time.step=1 h", "load.omega=0.01"],
-        comm=comm,
-    )  # fmt: skip
+    keys = ["mesh.contact_elements=16", "time.steps=4", "time.step=1 h", "load.omega=0.01"]
+    run_case(PAPER, tmp_path / "a.h5", keys, comm=comm)
     wear, penetration = plot(tmp_path / "a.h5").axes
     assert penetration.get_xlabel() == "time (h)"
     assert penetration.lines[0].get_xdata() == pytest.approx(np.arange(5.0))
     assert wear.get_legend().texts[-1].get_text() == "4 h"
-    assert [time_unit(end)[0] for end in (7200.0, 7201.0, 8 * 86400.0)] == ["s", "h", "days"]
 
 
-@pytest.mark.parametrize("width", [None, 180.0, 90.0])
+@pytest.mark.parametrize("width", [None, 90.0])
 def test_no_text_covers_another(runs, width):
-    for panels in ("wear,pressure", "penetration,volume,torque", "wear,rate,pressure,energy"):
+    for panels in ("wear,pressure", "wear,rate,pressure,energy"):
         figure = plot(runs[:2], panels, width=width)
         check_texts(figure)
-        for axes in figure.axes:
-            legend = axes.get_legend()
-            assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
         assert width is None or 25.4 * figure.get_figwidth() == pytest.approx(width)
 
 
 def test_many_times_are_colours_with_a_bar(runs):
-    steps = [*range(17)]
-    figure = plot(runs[1], "wear,pressure", ",".join(map(str, steps)))
+    figure = plot(runs[1], "wear,pressure", ",".join(map(str, range(17))))
     check_texts(figure)
-    wear, bar, pressure, other_bar = figure.axes
+    wear, bar, _, other_bar = figure.axes
     assert bar.get_ylabel() == other_bar.get_ylabel() == "time (s)"
     assert bar.get_ylim() == (0.0, 16.0)
     assert len({line.get_color() for line in wear.lines if len(line.get_xdata()) > 2}) == 17
-    for axes, letter in ((wear, "(a)"), (pressure, "(b)")):
-        assert axes.get_legend().texts == []
-        assert axes.get_legend().get_title().get_text().startswith(letter)
 
 
 def test_times_are_as_round_as_they_stay_apart():
@@ -263,9 +198,7 @@ def test_a_history_of_one_state_has_no_rate(runs):
 
 
 def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
-    from parts import Drawing, profiles
-
-    from ringwear_par.results.key_numbers import pressure_peak
+    from parts import profiles
 
     words = ["mesh.contact_elements=32", "time.steps=8"]
     run_case(PAPER, tmp_path / "a.h5", words, comm=comm)
@@ -273,12 +206,6 @@ def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
     pressure = result.profiles["pressure"]
     assert pressure.max(axis=1).argmax() == 0  # of no stage
     note = f"peak of {pressure.max():.4g} MPa at 0 s not shown"
-    for words in ({}, {"steps": "8"}, {"steps": "0"}):
-        (axes,) = plot(result, "pressure", **words).axes
-        assert axes.get_legend().get_title().get_text().endswith(f"\n{note}")
-    chart = profiles(result).charts[-1]
-    assert chart.caption == f"contact pressure (MPa), {note}"
-    told = Drawing(result, {}, None, 1.0, "volume", []).columns()["pressure"]
-    assert told["note"] == note
-    assert told["ranges"][1] == [*chart.panel.y.ends]
-    assert told["ranges"][1][1] == pytest.approx(pressure_peak(result).limit)
+    (axes,) = plot(result, "pressure").axes
+    assert note in axes.get_legend().get_title().get_text()
+    assert note in profiles(result).charts[-1].caption

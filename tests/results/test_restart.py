@@ -1,9 +1,12 @@
 """A run that is stopped and gone on with has the bits of one that was not, whatever it computes."""
 
+import h5py
+import numpy as np
 import pytest
 from paths import CASES, PAPER
 from stored import assert_same
 
+from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
@@ -45,6 +48,21 @@ RUNS = {
 }  # fmt: skip
 
 
+def counts(path):
+    """Return the attributes of a file and of its groups, but for what the computer needed."""
+    found = {}
+
+    def take(place, item):
+        for name, value in item.attrs.items() if isinstance(item, h5py.Group) else ():
+            if "seconds" not in name:
+                found[f"{place}/{name}"] = np.asarray(value).tolist()
+
+    with h5py.File(path) as file:
+        take("", file)
+        file.visititems(take)
+    return found
+
+
 @pytest.mark.parametrize("name", RUNS)
 def test_restart_equals_an_uninterrupted_run(name, restarted, comm):
     path, keys, step, variable = RUNS[name]
@@ -55,3 +73,14 @@ def test_restart_equals_an_uninterrupted_run(name, restarted, comm):
     assert one.doubts or name != "doubts of before"
     for attribute in ("time_through_lower", "assemblies", "updates"):
         assert one.attributes.get(attribute) == other.attributes.get(attribute)
+
+
+@pytest.mark.parametrize("keys", [SMALL, [*SMALL[:1], *MOVING, "time.step=4"]])
+def test_a_longer_run_has_all_numbers_and_counts(keys, tmp_path, comm):
+    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
+    for path, steps in ((whole, 20), (parts, 9), (parts, 20)):
+        run_case(PAPER, path, [*keys, f"time.steps={steps}"], comm=comm, restart=steps == 20)
+    assert_same(whole, parts)
+    one, other = counts(whole), counts(parts)
+    assert one == other
+    assert MOVING[0] not in keys or one["checkpoint/assemblies"] > 4

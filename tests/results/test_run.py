@@ -2,9 +2,11 @@
 
 import pytest
 from changed_steps import change_steps
+from parts import FigureFile
 from paths import PAPER
 
 import ringwear_par as rw
+from ringwear_par.results.execution import run
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result, read_status
 
@@ -68,11 +70,8 @@ def test_what_makes_an_answer_doubtful_is_stored(tmp_path, comm, capsys):
     keys = [*SMALL, "time.scheme=explicit", "time.step=60", "time.steps=3"]
     run_case(PAPER, path, keys, comm=comm)
     (doubt,) = open_result(path).doubts
-    told = doubt.text
-    assert "times its stability limit" in told
-    out, err = capsys.readouterr()
-    assert out.splitlines()[0] == f"warning: {told}"
-    assert told not in err
+    assert "stability limit" in doubt.text
+    assert capsys.readouterr().out.splitlines()[0] == f"warning: {doubt.text}"
 
 
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(tmp_path, comm, monkeypatch):
@@ -128,11 +127,57 @@ def test_a_run_of_another_version_says_so(tmp_path, comm, monkeypatch, caplog):
 
 def test_a_result_with_derivatives_does_not_go_on_without_them(tmp_path, comm):
     path = tmp_path / "derived.h5"
-    keys = dict(key.split("=") for key in SMALL)
-    case = rw.read_case(PAPER, {key: float(value) for key, value in keys.items()})
-    rw.simulate(case, comm, derivatives=["wear.lower.k"]).save(path)
-    longer = [*SMALL, "time.steps=25"]
+    rw.simulate(rw.read_case(PAPER, SMALL), comm, derivatives=["wear.lower.k"]).save(path)
     with pytest.raises(rw.InputError, match="derivatives"):
-        run_case(PAPER, path, longer, comm=comm, restart=True)
-    assert read_status(path) == ("complete", 20)
+        run_case(PAPER, path, [*SMALL, "time.steps=25"], comm=comm, restart=True)
     assert open_result(path).derivatives
+
+
+def test_only_the_steps_and_fields_asked_for(tmp_path, comm):
+    path = tmp_path / "run.h5"
+    run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], comm=comm)
+    data = open_result(path).to_xarray()
+    assert data.step.values.tolist() == data.time.values.tolist() == [0, 8, 16, 20]
+    assert "gap" not in data
+    assert int(data.contact_iterations.sum()) >= 20
+
+
+def test_a_complete_run_is_kept_and_drawn(tmp_path, comm):
+    """Nor is it made shorter."""
+    path, figure = tmp_path / "run.h5", tmp_path / "run.png"
+    run_case(PAPER, path, SMALL, comm=comm)
+    before = path.read_bytes()
+    run_case(PAPER, path, SMALL, comm=comm, restart=True, figure=FigureFile(figure))
+    assert figure.exists()
+    with pytest.raises(rw.InputError, match="20 steps"):
+        run_case(PAPER, path, [*SMALL, "time.steps=10"], comm=comm, restart=True)
+    assert path.read_bytes() == before
+
+
+def test_checkpoints_are_written_on_the_way(tmp_path, comm, monkeypatch):
+    seen, write = [], run.write_result
+
+    def noted(path, *args):
+        write(path, *args)
+        seen.append(read_status(path))
+
+    monkeypatch.setattr(run, "write_result", noted)
+    monkeypatch.setattr(run, "CHECKPOINT_SECONDS", 0.0)
+    run_case(PAPER, tmp_path / "run.h5", SMALL, comm=comm)
+    assert seen == [*(("incomplete", step) for step in range(1, 20)), ("complete", 20)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "word"),
+    [("text", "not a result"), ("folder", "is a folder"), ("nowhere", "does not exist")],
+)
+def test_outputs_that_are_not_ours_are_refused(tmp_path, comm, kind, word):
+    path = tmp_path / ("no/run.h5" if kind == "nowhere" else "run.h5")
+    if kind == "text":
+        path.write_text("precious")
+    elif kind == "folder":
+        path.mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(rw.InputError, match=word):
+        run_case(PAPER, path, SMALL, comm=comm)
+    assert sorted(tmp_path.rglob("*")) == before

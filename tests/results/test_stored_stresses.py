@@ -1,11 +1,11 @@
-"""Stresses in results: files, ranks, geometry that follows the wear, the summary."""
+"""Stresses in results: files, geometry that follows the wear, doubts, pictures."""
 
 import csv
 
 import numpy as np
 import pytest
 from last_states import with_last_pressure
-from parts import COMPONENTS, StressRecovery, max_shear, mises, principal
+from parts import COMPONENTS, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
@@ -24,36 +24,28 @@ def case_of(**more):
 
 
 def same(one, other):
-    assert len(one.stress.states) == len(other.stress.states)
+    """The stresses of two results are the same."""
     assert one.stress.sides == other.stress.sides
     for a, b in zip(one.stress.states, other.stress.states, strict=True):
-        assert (a.step, a.time) == (b.step, b.time)
-        np.testing.assert_array_equal(a.points, b.points)
-        np.testing.assert_array_equal(a.grid, b.grid)
-        np.testing.assert_array_equal(a.surface, b.surface)
-        assert a.largest == b.largest
-        for one_body, other_body in zip(a.interfaces, b.interfaces, strict=True):
-            np.testing.assert_array_equal(one_body, other_body)
-        np.testing.assert_array_equal(np.concatenate(a.layers), np.concatenate(b.layers))
+        assert (a.step, a.time, a.largest) == (b.step, b.time, b.largest)
+        for name in ("points", "grid", "surface"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        for name in ("interfaces", "layers"):
+            for one_body, other_body in zip(getattr(a, name), getattr(b, name), strict=True):
+                np.testing.assert_array_equal(one_body, other_body)
 
 
 def test_variables_and_file(tmp_path):
-    import xarray
-
     result = rw.simulate(case_of(stress__times="all"))
     path = tmp_path / "run.h5"
     result.save(path)
     same(rw.open_result(path), result)
     data = result.to_xarray()
-    with xarray.open_dataset(path, engine="h5netcdf") as stored:
-        xarray.testing.assert_identical(
-            stored[["stress", "mises_grid"]], data[["stress", "mises_grid"]]
-        )
-        assert stored.stress.point_side.values.tolist() == ["", "above", ""]
-        assert stored.stress.sizes == {"stress_step": 7, "point": 3, "component": 6}
-        assert stored.component.values.tolist() == list(COMPONENTS)
-        assert stored.stress_grid.dims == ("stress_step", "grid_r", "grid_z", "component")
-        assert stored.stress.units == "MPa"
+    assert data.stress.point_side.values.tolist() == ["", "above", ""]
+    assert data.stress.sizes == {"stress_step": 7, "point": 3, "component": 6}
+    assert data.component.values.tolist() == list(COMPONENTS)
+    assert data.stress_grid.dims == ("stress_step", "grid_r", "grid_z", "component")
+    assert data.stress.units == "MPa"
     assert data.stress_time.values.tolist() == data.time.values.tolist()
     np.testing.assert_array_equal(data.mises, mises(data.stress.values))
     np.testing.assert_array_equal(data.max_shear, max_shear(data.stress.values))
@@ -75,22 +67,12 @@ def test_variables_and_file(tmp_path):
 
 
 @pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
-def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
-    """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
-    made, integrated = [], StressRecovery._integrated
-    monkeypatch.setattr(
-        StressRecovery, "_integrated", lambda *words: made.append(1) or integrated(*words)
-    )
+def test_many_cases_have_the_stresses_of_single_ones(times, comm):
     case = case_of(stress__times=times, output__times=[10.0, 60.0], contact__friction=0.2)
     changes = [{"load.pressure": 50.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
                {"mesh.geometry": "updated", "mesh.geometry_tolerance": 1.0}]  # fmt: skip
     cases = [case.replace(change) for change in changes]
-    found = rw.simulate_all(cases, comm)
-    assert len(made) <= 2  # the mesh of one follows the wear
-    for mine, other in zip(found, rw.simulate_all(cases, comm, batch=1), strict=True):
-        same(mine, other)
-        assert mine.doubts == other.doubts
-    for each, mine in zip(cases, found, strict=True):
+    for each, mine in zip(cases, rw.simulate_all(cases, comm), strict=True):
         single = rw.simulate(each, comm)
         assert mine.doubts == single.doubts
         for a, b in zip(mine.stress.states, single.stress.states, strict=True):
@@ -120,24 +102,22 @@ def test_points_that_wear_takes_away_have_no_stress():
     assert np.isfinite(result.stress.states[-1].points[1]).all()
 
 
-def test_summary_and_doubt():
+def test_the_largest_stress_at_an_edge_is_doubted():
     unworn = rw.simulate(case_of(stress__times="last", time__steps=1, time__step=1e-6))
-    (line,) = [
-        line for line in unworn.summary(verbose=True).splitlines() if line.startswith("largest von")
-    ]
-    state = unworn.stress.states[-1]
-    assert f"lower {state.largest[0].mises:.5g} MPa (at r = " in line
+    largest, _ = unworn.stress.states[-1].largest
+
+    def line(of):
+        (found,) = [one for one in of.summary(verbose=True).splitlines()
+                    if one.startswith("largest von")]  # fmt: skip
+        return found.split("upper")[0]
+
+    assert f"lower {largest.mises:.5g} MPa" in line(unworn)
     assert any("stress.exclude" in doubt.text for doubt in unworn.doubts)
     # contact that ends at the radius of the largest stress of lower has an edge element there
-    assert "edge of contact" not in line
+    assert "edge of contact" not in line(unworn)
     p = unworn.checkpoint.state.contact.pressure.copy()
-    p[unworn.line.element_at(np.array([state.largest[0].r]))[0] + 1 :] = 0.0
-    (line,) = (text for text in with_last_pressure(unworn, p).summary(verbose=True).splitlines()
-               if text.startswith("largest von"))  # fmt: skip
-    assert "edge of contact" in line.split("upper")[0]
-    worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,
-                               time__steps=40, time__step=30.0, stress__exclude=0.0))  # fmt: skip
-    assert not any("stress.exclude" in doubt.text for doubt in worn.doubts)
+    p[unworn.line.element_at(np.array([largest.r]))[0] + 1 :] = 0.0
+    assert "edge of contact" in line(with_last_pressure(unworn, p))
 
 
 def test_hertz_like_crown_has_its_largest_stress_inside():
@@ -163,22 +143,15 @@ def stored(tmp_path_factory, comm):
     return path
 
 
-def test_pictures_show_what_is_stored(stored, tmp_path):
-    from parts import plot_stored
-
+def test_pictures_show_what_is_stored(stored):
     result = rw.open_result(stored)
     r, z = result.stress.grid
     figure = rw.plot(result, ["stress", "depth", "mises"], times="0, 120")
     first, bar, last, other, depth, largest = figure.axes
     assert bar.get_ylabel() == other.get_ylabel() == "von Mises stress (MPa)"
-    # one scale, the sections around the maps, the worn face in the second only
-    scales = {axes.collections[0].norm.vmax for axes in (first, last)}
-    assert len(scales) == 1
-    assert [len(axes.patches) for axes in (first, last)] == [2, 2]
+    # one scale, the worn face in the second only
+    assert len({axes.collections[0].norm.vmax for axes in (first, last)}) == 1
     assert [len(axes.lines) for axes in (first, last)] == [0, 1]
-    legend = last.get_legend() or last.figure.legends[0]
-    assert any("worn face of lower" in text.get_text() for text in legend.get_texts())
-    assert first.get_xlim() == (28.0, 32.0)
     for line, state in zip(depth.lines, (result.stress.states[i] for i in (0, -1)), strict=False):
         values = mises(state.grid[int(np.abs(r - 30.0).argmin())])
         drawn = line.get_xdata()
@@ -186,22 +159,12 @@ def test_pictures_show_what_is_stored(stored, tmp_path):
         assert len(line.get_ydata()) == len(z) + 2  # cut at both faces
     lower = [state.largest[0].mises for state in result.stress.states]
     assert largest.lines[0].get_ydata() == pytest.approx(lower)
-    # side by side, a map with its bar of colours is about as wide as the others
-    figure = rw.plot(result, "stress,depth,mises")
-    figure.draw_without_rendering()
-    widths = [figure.axes[i].get_position().width for i in (0, 2, 3)]
-    assert min(widths) > 0.8 * max(widths)
-    plot_stored([stored], tmp_path / "a.png", "stress,depth,mises,wear")
-    assert (tmp_path / "a.png").stat().st_size > 3000
 
 
 def test_exports(stored, tmp_path):
-
-    result = rw.open_result(stored)
-    state = result.stress.states[-1]
+    state = rw.open_result(stored).stress.states[-1]
     known = np.isfinite(state.grid).all(axis=-1)
-    said = export(stored, tmp_path / "a.vtkhdf", stress=True)
-    assert said.endswith("a.vtkhdf: stress, 5 states from 0 to 120 s")
+    export(stored, tmp_path / "a.vtkhdf", stress=True)
     data = last_state(tmp_path / "a.vtkhdf")
     assert len(data["points"]) == known.sum()
     assert data["mises"] == pytest.approx(mises(state.grid[known]))
@@ -210,25 +173,18 @@ def test_exports(stored, tmp_path):
     corners = data["points"][data["cells"]]
     assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
     assert np.ptp(corners[..., 2], axis=1) == pytest.approx(1.0 / 3.0)
-    early = last_state(tmp_path / "a.vtkhdf", 0)
-    assert early["mises"] == pytest.approx(mises(result.stress.states[0].grid[known]))
     export(stored, tmp_path / "a.csv", stress=True)
     with (tmp_path / "a.csv").open() as file:
         header, *rows = csv.reader(file)
     assert header[:5] == ["step", "time (s)", "r (mm)", "z (mm)", "rr (MPa)"]
-    assert header[-1] == "side"
     assert len(rows) == 5 * 3
     assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
 
 
-def test_the_page_of_a_run_has_them(stored, tmp_path):
-    page = tmp_path / "run.html"
-    rw.report(stored, page)
-    text = page.read_text()
-    section = text[text.index(">Stress inside</h2>") :]
-    assert "data:image/png;base64," in section
-    state = rw.open_result(stored).stress.states[-1]
-    assert f">{state.largest[0].mises:.5g}</td>" in section
+def test_the_page_of_a_run_has_the_largest_stress(stored, tmp_path):
+    rw.report(stored, tmp_path / "run.html")
+    largest, _ = rw.open_result(stored).stress.states[-1].largest
+    assert f">{largest.mises:.5g}</td>" in (tmp_path / "run.html").read_text()
 
 
 def test_stresses_beside_the_contact_converge(comm):
@@ -253,29 +209,22 @@ def test_the_largest_of_each_layer(tmp_path):
         for own, largest in zip(state.layers, state.largest, strict=True):
             assert own.max() == own[largest.layer] == largest.mises
     result.save(tmp_path / "run.h5")
-    read, data = rw.open_result(tmp_path / "run.h5"), result.to_xarray()
-    same(read, result)
-    assert read.stress.layers == result.stress.layers == (3, 2)
+    same(rw.open_result(tmp_path / "run.h5"), result)
+    data, text = result.to_xarray(), result.summary(verbose=True)
     assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
     assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
     names = ("layer 0 of lower", "layer 1 of lower", "lower itself")
-    values = zip(names, result.stress.states[-1].layers[0], strict=True)
-    assert ", ".join(f"{name} {value:.5g} MPa" for name, value in values) in result.summary(
-        verbose=True
-    )
+    for name, value in zip(names, result.stress.states[-1].layers[0], strict=True):
+        assert f"{name} {value:.5g} MPa" in text
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
-def test_layers_that_are_gone_have_no_largest_stress(geometry, tmp_path):
-    """Of the body's own material and worn through everywhere: said in words."""
+def test_layers_that_are_gone_have_no_largest_stress(geometry):
     film = {"thickness": 5e-4, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-6}}
     changes = {"upper__layers": [film], "mesh__geometry": geometry, "stress__exclude": 0.05}
     result = rw.simulate(case_of(**changes))
     assert result.layers["share_through_upper"][-1] == 1.0
     ((gone, left),) = (state.layers[1] for state in result.stress.states)
     assert np.isnan(gone)
-    assert "layer 0 of upper none" in result.summary(verbose=True)
     assert f"upper itself {left:.5g} MPa" in result.summary(verbose=True)
     assert "nan" not in result.summary(verbose=True)
-    result.save(tmp_path / "run.h5")
-    assert rw.open_result(tmp_path / "run.h5").summary(verbose=True) == result.summary(verbose=True)

@@ -1,4 +1,4 @@
-"""Result files of others: looking at one runs nothing, and a damaged one is one sentence."""
+"""Result files of others: nothing in them is executed, and a damaged one is refused."""
 
 import json
 
@@ -22,16 +22,7 @@ def run(tmp_path):
     return path
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["run", str(PAPER), "-o", "run.h5", *SMALL, "--restart"],
-        ["plot", "run.h5", "-o", "a.png", "--panels", "wear,penetration,pressure"],
-        ["export", "run.h5", "-o", "a.csv"],
-        ["report", "run.h5", "-o", "a.html"],
-    ],
-)
-def test_a_law_that_only_a_result_file_names_is_not_run(run, tmp_path, words, monkeypatch):
+def test_a_law_that_only_a_result_file_names_is_not_run(run, tmp_path):
     law, marker = tmp_path / "trap.py", tmp_path / "has_run"
     law.write_text(LAW.format(str(marker)))
     with h5py.File(run, "r+") as file:
@@ -40,9 +31,9 @@ def test_a_law_that_only_a_result_file_names_is_not_run(run, tmp_path, words, mo
         file.attrs["case"] = f"{before}[wear.lower]\n{keys}{after[after.index('[load]') :]}"
         file.attrs["status"] = "incomplete"
         file.attrs["user_laws"] = json.dumps({"lower": law.read_text()})
-    monkeypatch.chdir(tmp_path)
-    assert main(words) == (2 if words[0] == "run" else 0)
-    assert rw.open_result("run.h5").summary(verbose=True)
+    assert main(["run", str(PAPER), "-o", str(run), *SMALL, "--restart"]) == 2
+    assert main(["report", str(run), "-o", str(tmp_path / "a.html")]) == 0
+    assert rw.open_result(run).summary(verbose=True)
     assert not marker.exists()
 
 
@@ -60,9 +51,8 @@ def test_no_flipped_bit_gives_other_numbers(run):
         run.write_bytes(changed)
         try:
             found = numbers(run)
-        except rw.InputError as error:
+        except rw.InputError:
             refused += 1
-            assert "is damaged" in str(error)  # noqa: PT017
             continue
         for name, values in exact.items():
             assert np.array_equal(found[name], values), name
@@ -70,18 +60,16 @@ def test_no_flipped_bit_gives_other_numbers(run):
 
 
 @pytest.mark.parametrize("how", ["cut", "text", "attribute", "variable"])
-def test_what_is_no_result_file_is_one_sentence(run, tmp_path, how, capsys):
-    contents = run.read_bytes()
+def test_what_is_no_result_file_is_refused(run, how):
     if how in ("cut", "text"):
+        contents = run.read_bytes()
         run.write_bytes(contents[: len(contents) // 2] if how == "cut" else b"text")
     else:
         with h5py.File(run, "r+") as file:
-            del (file.attrs if how == "attribute" else file)[
-                "angle" if how == "attribute" else "time"
-            ]
-    assert main(["report", str(run), "-o", str(tmp_path / "a.html")]) == 2
-    assert "is not a result file of ringwear, or is damaged" in capsys.readouterr().err
-    assert not (tmp_path / "a.html").exists()
+            place, name = (file.attrs, "angle") if how == "attribute" else (file, "time")
+            del place[name]
+    with pytest.raises(rw.InputError, match="is not a result file"):
+        rw.open_result(run)
 
 
 @pytest.mark.parametrize("title", ["costs $x_$", "a\nb", "\x1b[2J"])

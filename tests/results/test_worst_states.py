@@ -1,4 +1,4 @@
-"""Doubts are of the worst state of a history, with its time: alone and in lock step."""
+"""Doubts are of the worst state of a history, with its time: alone and among others."""
 
 import tomllib
 
@@ -35,17 +35,17 @@ def doubts(tables):
 
 def test_a_displacement_that_comes_and_goes_is_doubted_at_its_largest():
     moved, high = doubts(pressed([[0.0, 0.01], [40.0, 3.0], [80.0, 0.01]]))
-    assert moved.startswith("approach or wear of 3 mm at t = 40 s is more than 5 %")
-    assert high.startswith("the mean pressure in contact, ")
-    assert "at t = 40 s, is more than a tenth of a Young's modulus, 10000 MPa" in high
+    assert "3 mm at t = 40 s" in moved
+    assert "mean pressure" in high
+    assert "at t = 40 s" in high
     assert doubts(pressed([[0.0, 0.01], [40.0, 0.03], [80.0, 0.01]])) == ()
 
 
 def test_fixed_steps_that_pass_over_a_corner_of_the_load_are_doubted():
     """A displacement that comes and goes between two ends of steps of 20 s is not seen."""
     (missed,) = doubts(pressed([[0.0, 0.01], [25.0, 0.01], [30.0, 0.03], [35.0, 0.01]]))
-    assert missed.startswith("steps of 20 s pass over the corner of the load at t = 30 s: the disp")
-    assert "displacement there is 0.03 mm, but 0.01 mm on the straight line between" in missed
+    for words in ("20 s", "t = 30 s", "0.03 mm", "0.01 mm"):
+        assert words in missed
     tables = pressed([[0.0, 0.01], [20.0, 0.01], [40.0, 0.03], [60.0, 0.01]])
     assert doubts(tables) == ()
     tables["time"] = {"scheme": "adaptive", "end": 80.0}
@@ -53,7 +53,8 @@ def test_fixed_steps_that_pass_over_a_corner_of_the_load_are_doubted():
     assert doubts(tables) == ()
     force = crowned([[0.0, 5000.0], [30.0, 10000.0], [80.0, 5000.0]])
     (missed,) = [text for text in doubts(force) if "corner" in text]
-    assert "at t = 30 s: the force there is 10000 N, but 8666.67 N on the straight line" in missed
+    for words in ("t = 30 s", "10000 N", "8666.67 N"):
+        assert words in missed
 
 
 def test_few_elements_are_doubted_where_they_bear_load():
@@ -61,7 +62,7 @@ def test_few_elements_are_doubted_where_they_bear_load():
     (few,) = doubts(crowned(500.0))
     count = int(few.split()[0])
     assert 0 < count < 10
-    assert few.startswith(f"{count} of 24 elements are in contact at t = 0 s, under 500 N: too few")
+    assert "of 24 elements are in contact at t = 0 s, under 500 N" in few
     growing = crowned([[0.0, 5.0], [80.0, 500.0]])
     assert not any("at t = 0 s" in text for text in doubts(growing))
 
@@ -80,24 +81,11 @@ def test_a_thin_disc_on_a_coarse_mesh_is_doubted():
         case = rw.read_case(tables | {"mesh": {"contact_elements": elements}})
         result = rw.simulate(case)
         assert (3e-3 < result.attributes["symmetry_defect"] < 1e-2) == wrong
-        texts = [doubt.text for doubt in result.doubts if doubt.code == "coarse_mesh"]
-        assert len(texts) == wrong
-        assert all(" at worst, at t = 0 s: a finer mesh" in text for text in texts)
-
-
-def test_histories_in_lock_step_doubt_what_single_ones_do():
-    cases = [rw.read_case(crowned(force)) for force in (200.0, 500.0)]
-    together = rw.simulate_all(cases)
-    assert [result.doubts for result in together] == [rw.simulate(case).doubts for case in cases]
-    assert together[0].doubts != together[1].doubts
-    down = [pressed([[0.0, 0.01], [40.0, top], [80.0, 0.01]]) for top in (2.0, 3.0)]
-    for result, tables in zip(rw.simulate_all(map(rw.read_case, down)), down, strict=True):
-        assert tuple(doubt.text for doubt in result.doubts) == doubts(tables)
-        assert len(result.doubts) == 2
+        assert ("coarse_mesh" in [doubt.code for doubt in result.doubts]) == wrong
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_doubts_of_a_history_depend_on_no_load_of_others(order):
+def test_doubts_of_a_history_are_as_alone(order):
     """A ring that never touches excuses what it makes of itself."""
     soft = {"layers": [{"thickness": 0.5, "young": 2.0, "poisson": 0.45}]}
     forces, displacements = (crowned(70.0), crowned(94.0)), (pressed(0.1), pressed(1.1))
@@ -106,7 +94,9 @@ def test_doubts_of_a_history_depend_on_no_load_of_others(order):
         tables["upper"] |= {"profile": {"crown": 60.0}}
     for tables in displacements:
         tables["lower"] |= {"z": [-20.0, 19.85]}
-    for pair, code in ((forces, "high_pressure"), (displacements, "large_displacement")):
+    down = [pressed([[0.0, 0.01], [40.0, top], [80.0, 0.01]]) for top in (2.0, 3.0)]
+    for pair, code in ((forces, "high_pressure"), (displacements, "large_displacement"),
+                       (down, "large_displacement")):  # fmt: skip
         cases = [rw.read_case(tables) for tables in pair][::order]
         alone = [rw.simulate(case).doubts for case in cases]
         assert any(code in [doubt.code for doubt in doubted] for doubted in alone)

@@ -8,10 +8,8 @@ from parts import Table, derivative
 from taylor import taylor_order
 from wearing import sliding, step_wear
 
-import ringwear_par as rw
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.laws import non_local as averages
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.power import PowerLaw
@@ -80,13 +78,10 @@ def test_steady_laws_know_neither_time_nor_wear():
 def test_lines_are_rates():
     at = sliding(POWER, time=3.0)
     lines = {name: line for name, law in LAWS.items() if (line := law.line(at)) is not None}
-    threshold = {"threshold", "threshold, table in time", "threshold, profile"}
-    assert lines.keys() == {*threshold, "archard", "running-in, distance"}
+    assert {"threshold, table in time", "archard", "running-in, distance"} <= lines.keys()
     for name, (rise, onset) in lines.items():
         rate = LAWS[name].rate(P, at)
         assert rise * np.maximum(P - onset, 0.0) == pytest.approx(rate, rel=1e-14), name
-    other = type("Other", (ThresholdLaw,), {"rate": lambda law, p, local: p})
-    assert other(1e-7, 40.0).line(at) is None
 
 
 def test_threshold_law_is_equation_4():
@@ -181,13 +176,6 @@ def test_complex_steps_are_trusted_only_where_differences_agree():
     table = lambda x: np.interp(x, [0.0, 4.0], [0.0, 8.0])  # noqa: E731
     assert derivative(table, x, 1e-3) == pytest.approx(np.full(3, 2.0), rel=1e-8)
     assert derivative(lambda x: x**2, 0.0, 1e-3) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_length_is_no_parameter_of_the_rate_itself():
-    law = LAWS["non-local"]
-    assert law.numeric == ("k", "p0")
-    with pytest.raises(ValueError, match="length: must be one of k, p0"):
-        law.d_rate_dparameter("length", P, sliding(POWER))
 
 
 def test_a_law_needs_its_rate_only():
@@ -289,19 +277,6 @@ def test_non_local_becomes_local():
     average = averaging(at.r, np.ones(5), other.length)
     step = WearIncrement((other, None), (at, at), 2.0, (average, None))
     assert step.depth(P) == pytest.approx(step_wear((local,), POWER, 2.0).depth(P))
-
-
-def test_a_falling_slope_is_told_during_work():
-    source = "def rate(p, at): return 1e-7 * p\ndef d_rate_dp(p, at): return -1e-7 + 0 * p\n"
-    with pytest.raises(rw.ComputationError, match=r"d_rate_dp\(\) gives -1e-07.*must not fall"):
-        UserLaw("mine.py", source).d_rate_dp(P, sliding(POWER))
-
-
-def test_averages_that_do_not_settle_are_refused(monkeypatch):
-    monkeypatch.setattr(averages, "_SCALINGS", 1)
-    r = np.linspace(28.5, 31.5, 12)
-    with pytest.raises(rw.ComputationError, match="averages"):
-        averaging(r, r, 0.5)
 
 
 def test_bodies_that_share_a_law_remember_their_own_wear():

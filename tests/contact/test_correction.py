@@ -1,6 +1,5 @@
 """Deferred correction: pressures are those of the collocated, unsymmetric equations."""
 
-import itertools
 from dataclasses import replace
 
 import active_set
@@ -8,17 +7,10 @@ import numpy as np
 import pytest
 import random_cases
 from one_contact import OneContact
-from parts import ContactEngine, HistoriesError, Stepping, ThresholdLaw, in_time, make_case
+from parts import Physics, Stepping, ThresholdLaw, in_time, initial_state, make_case, trace, young
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.contact import correction
-from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.loop import method_of
-from ringwear_par.history.observers.trace import trace
-from ringwear_par.history.physics import Physics
-from ringwear_par.history.start import initial_state
 
 CHAMFER = CASES / "chamfer.toml"
 #: of the random cases with seed 1: contact that does not reach the edges, or has a corner
@@ -32,7 +24,7 @@ def cases(comm):
     for number in NUMBERS:
         keys, _ = random_cases.random_case(np.random.default_rng((1, number)))
         case = make_case(keys, f"case {number}")
-        found[number] = case, assemble(case, comm)
+        found[number] = case, rw.assemble(case, comm)
     return found
 
 
@@ -78,43 +70,6 @@ def test_first_pressures_are_those_of_the_collocated_equations(cases, number, co
     assert plain.argmax() in (0, pair.line.n - 1)
 
 
-@pytest.mark.parametrize("number", NUMBERS)
-def test_each_correction_leaves_a_fraction(cases, number, comm):
-    """A factor of 0.2 or better in the mean of all corrections, in any one of them of 0.25."""
-    case, pair = cases[number]
-    exact, _ = active_set.solve(
-        weighted(case, pair), pair.line.area, case.initial_gap, **loads(case, 0)
-    )
-    excess = pair.compliance(young(case)).excess
-    p, off = np.zeros(pair.line.n), []
-    for _ in range(5):
-        p = plain_pressure(case, pair, case.initial_gap - excess @ p, comm)
-        off.append(errors(p, exact, pair.line.area).max())
-    assert (off[-1] / off[0]) ** (1.0 / 4.0) < 0.2
-    assert all(b < 0.25 * a for a, b in itertools.pairwise(off))
-
-
-def test_corrections_end_once_there_is_nothing_to_correct(cases, comm, monkeypatch):
-    case, pair = cases[12]
-    solve, calls = ContactEngine.solve, []
-
-    def counted(self, *args, **kwargs):
-        calls.append(1)
-        return solve(self, *args, **kwargs)
-
-    monkeypatch.setattr(ContactEngine, "solve", counted)
-    nothing, start = np.zeros((2, 1, pair.line.n)), np.zeros(1)
-    physics = Physics.of([case], pair)
-    with physics.contacts() as contacts:
-        p = contacts.solve(physics.contact_inputs(start, nothing), nothing[0], exact=True).pressure
-        made = len(calls)
-        assert 2 <= made <= 6
-        again = contacts.solve(physics.contact_inputs(start, nothing), p, exact=True)
-        # from the solution on: none to make
-        assert len(calls) == made + 1
-    assert errors(again.pressure[0], p[0], pair.line.area).max() < 1e-3
-
-
 @pytest.mark.parametrize("exact", [False, True])
 def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(cases, exact, comm):
     """Of gap and wear together, by an independent solver; steps go on from pressures near by."""
@@ -138,31 +93,6 @@ def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(cas
         **loads(case, step * 10),
     )  # fmt: skip
     assert errors(found.pressure[0], right, line.area).max() < (2e-4 if exact else 1e-2)
-
-
-@pytest.mark.parametrize("number", NUMBERS)
-def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number, comm, monkeypatch):
-    """The last step again, all its contacts corrected to the end."""
-    case, pair = cases[number]
-    history = trace(case, comm, pair=pair)
-    told, e = history.snapshots[-1].contacts.largest_errors
-    assert 0 <= e < pair.line.n
-    assert told <= 1e-2
-    scheme = method_of(case.time.scheme).scheme
-    physics = Physics.of([case], pair)
-    with physics.contacts() as contacts:
-        solve = contacts.solve
-
-        def corrected(inputs, near, already_solved=None, tangents=None):
-            for _ in range(4):
-                solution = solve(inputs, near, already_solved=already_solved, exact=True)
-                near = solution.pressure
-            return solution
-
-        monkeypatch.setattr(contacts, "solve", corrected)
-        before, last = (snapshot.state for snapshot in history.snapshots[-2:])
-        right = scheme(physics, contacts, before, last.time).state.contact.pressure[0]
-    assert errors(history.last.contact.pressure, right, pair.line.area).max() < 0.02
 
 
 @pytest.mark.parametrize(
@@ -194,7 +124,7 @@ def test_explicit_steps_are_corrected_each(comm):
         "mesh.contact_elements": 24, "time": {"scheme": "explicit", "step": 0.1, "steps": 4},
         "load.pressure": [[0.0, 20.0], [0.2, 200.0], [0.3, 30.0], [0.4, 100.0]],
     })  # fmt: skip
-    pair = assemble(case, comm)
+    pair = rw.assemble(case, comm)
     history = trace(case, comm, pair=pair)
     m, matrix = pair.line.area, weighted(case, pair)
     plain = OneContact(pair.compliance(young(case)).matrix, m)
@@ -209,16 +139,3 @@ def test_explicit_steps_are_corrected_each(comm):
             uncorrected.append(errors(found, exact, m).max())
             before = state.contact.pressure
     assert min(uncorrected) > 5e-4
-
-
-def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):
-    """Alone with its error; among others it leaves."""
-    case, pair = cases[12]
-    monkeypatch.setattr(correction, "_EXACT", 1e-30)
-    told = r"after 10 corrections .* is off by .*allowed 1e-30"
-    one, two = Physics.of([case], pair), Physics.of([case, case], pair)
-    with one.contacts() as contacts, pytest.raises(rw.ComputationError, match=told):
-        initial_state(one, contacts)
-    with two.contacts() as contacts, pytest.raises(HistoriesError) as failure:
-        initial_state(two, contacts)
-    assert failure.value.which.all()

@@ -1,11 +1,11 @@
-"""Many histories that share a pair, through physics, schemes and balances: each as if alone."""
+"""Single steps of all schemes: the balance of volume, and their estimates of errors."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import Load, Mesh
-from reference_cases import OMEGA, paper_case
+from parts import Mesh
+from reference_cases import paper_case
 
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.balances import balances
@@ -13,7 +13,6 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 
-#: no rank of a batch knows of others
 SCHEMES = {"explicit": euler.forward, "implicit": euler.backward, "adaptive": sdirk2.step}
 
 
@@ -25,12 +24,6 @@ def base():
 @pytest.fixture(scope="module")
 def pair(base, comm):
     return assemble(base, comm)
-
-
-def test_loads_of_different_kinds_do_not_go_together(base, pair, comm):
-    cases = [base, replace(base, load=Load(OMEGA, displacement=0.05))]
-    with pytest.raises(ValueError, match="cannot be stacked"):
-        Physics.of(cases, pair)
 
 
 def test_the_volume_balance_sees_depths_that_are_not_those_of_the_rates(base, pair, comm):
