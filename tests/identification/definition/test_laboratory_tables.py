@@ -100,21 +100,14 @@ def test_columns_and_units_may_be_named(folder):
     assert second.case.load.force == pytest.approx(2000.0)
 
 
-@pytest.mark.parametrize("columns", [{}, {"name": "Versuch", "load.pressure": "p"}])
-def test_columns_whose_names_have_a_word_by_chance_are_not_used_and_are_named(
-    columns, folder, caplog
-):
-    chance = [
-        "Test date", "load step", "last calibration", "final temperature / degC", "speed m/s",
-        "initial roughness / um", "lab 7 am", "max speed / (m/s)", "before - after / mg",
-    ]  # fmt: skip
+def test_columns_whose_names_have_a_word_by_chance_are_not_used_and_are_named(folder, caplog):
+    chance = ["Test date", "load step", "lab 7 am", "max speed / (m/s)", "before - after / mg"]
     endings = ["", "".join(f";{name}" for name in chance), *[";" * len(chance)] * 4]
     endings[3] = ";12" * len(chance)
     text = "\n".join(map("".join, zip(TABLE.splitlines(), endings, strict=True)))
-    tests = read_fit(in_table(folder, text, columns=columns)).experiments
-    plain = read_fit(in_table(folder)).experiments
+    tests, plain = (read_fit(in_table(folder, each)).experiments for each in (text, TABLE))
     assert [test.case.text for test in tests] == [test.case.text for test in plain]
-    assert f"columns not used: Bemerkung, {', '.join(chance)}" in caplog.text
+    assert all(name in caplog.text for name in chance)
 
 
 def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
@@ -133,7 +126,7 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
         pytest.approx([3.2e-3]),
         pytest.approx([4.1e-3]),
     ]
-    assert "columns not used: F / N, p / MPa, max load / N, loss of both / mg" in caplog.text
+    assert "F / N, p / MPa, max load / N, loss of both / mg" in caplog.text
     tables["tests"] |= {"columns": {**columns, "loss.lower": "loss of both / mg"}}
     assert "A: has no reading" in str(refused(tables))
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from parts import RejectedError, factor, named_unit, number_in, read_measurements, unit_of_column
-
-import ringwear_par as rw
+from parts import RejectedError, factor, named_unit, read_measurements, unit_of_column
 
 
 def numbers(path, *names):
@@ -47,14 +45,6 @@ def test_clock_times(hour, cells, expected, tmp_path):
     assert table.numbers("t", table.filled("t"), hour) == pytest.approx(expected)
 
 
-def test_two_parts_tell_a_time_in_hours_or_minutes_only(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("t;z\n1:30;1\n")
-    table = read_measurements(path)
-    with pytest.raises(rw.InputError, match=r"line 2: t = 1:30: .*h:min or min:s"):
-        table.numbers("t", table.filled("t"), 3600.0)
-
-
 def test_units_of_columns():
     found = [
         unit_of_column(name, "mm")
@@ -85,19 +75,6 @@ def test_quotients_in_units_of_something_else(name):
     for base in ("s", "mm", "N mm"):
         with pytest.raises(RejectedError, match="name"):
             named_unit(name, base)
-
-
-def test_files_of_any_size_are_looked_at_once(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text(",".join(["t", *(f"c{i}" for i in range(100_000))]) + "\n1,2\n")
-    with pytest.raises(rw.InputError, match="1000"):
-        read_measurements(path)
-    path.write_text(f"t;z\n1;{'1' * 100_000}x\n")
-    with pytest.raises(rw.InputError, match="number"):
-        numbers(path, "t", "z")
-    with pytest.raises(RejectedError):
-        number_in("1" * 100_000 + " x", "mm")
-    assert unit_of_column("z" + " " * 100_000 + "z", "mm") is None
 
 
 def test_endings_that_do_not_fit():
