@@ -28,6 +28,7 @@ PLACES = {
     "errors": "HistoriesError LawError RingwearError legible",
     "files.measurements": "read_measurements",
     "files.smoothing": "curve penalised",
+    "files.spreadsheets": "write_xlsx",
     "files.text": "parse_toml read_text toml_text toml_value",
     "history.elastic.bodies": "bodies operator_key young",
     "history.elastic.compliances": "Compliances",
