@@ -6,7 +6,7 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from parts import main
+from parts import main, write_xlsx
 from paths import CASES
 from vtkhdf import last_state
 
@@ -135,6 +135,13 @@ def test_a_workbook_has_all_tables(runs, tmp_path):
     assert (group, label, unit) == ("penetration", "total", "um")
     assert value == pytest.approx(1e3 * result.histories["penetration"][-1], rel=1e-14)
     assert book["contact line"].max_row == 1 + result.profiles["pressure"].size
+
+
+def test_texts_in_workbooks_are_no_formulas(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    write_xlsx(tmp_path / "a.xlsx", [("texts", ["a", "b"], [["=1+1", float("nan")]])])
+    _, row = openpyxl.load_workbook(tmp_path / "a.xlsx")["texts"].iter_rows()
+    assert [(cell.value, cell.data_type) for cell in row] == [("=1+1", "s"), (None, "n")]
 
 
 def test_no_half_files(runs, tmp_path, monkeypatch):
