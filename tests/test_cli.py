@@ -13,7 +13,6 @@ from commands import (
     RINGWEAR,
     SHELL_ENVIRONMENT,
     on_ranks,
-    python,
     ringwear,
     sentences,
 )
@@ -22,7 +21,6 @@ from paths import CASES, PAPER
 from ringwear_par.cli import main
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
-COATED, STRESS = CASES / "coated.toml", CASES / "stress.toml"
 LAW = """
 import os
 
@@ -42,21 +40,15 @@ def test_run_plot_and_status_0(tmp_path, ranks):
     done = ringwear("run", PAPER, "-o", "a.h5", "--plot", "a.png", "--set", *SMALL,
                     ranks=ranks, cwd=tmp_path)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    labels = ["penetration", "worn", "wear", "pressure", "torque", "checks", "written", "next"]
-    assert [line.split()[0] for line in done.stdout.splitlines()] == labels
     assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "a.png"}
 
 
-@pytest.mark.parametrize("ranks", on_ranks(0, 2, 3))
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["nowhere.toml", "-o", "a.h5"], "nowhere.toml"), ([PAPER], "-o/--output")],
-)
-def test_bad_input_is_said_once_with_status_2(tmp_path, ranks, words, said):
-    result = ringwear("run", *words, ranks=ranks, cwd=tmp_path)
+@pytest.mark.parametrize("ranks", on_ranks(0, 2))
+def test_bad_input_is_one_sentence_with_status_2(tmp_path, ranks):
+    result = ringwear("run", "nowhere.toml", "-o", "a.h5", ranks=ranks, cwd=tmp_path)
     assert result.returncode == 2, result.stderr
-    (told,) = sentences(result)
-    assert said in told
+    (sentence,) = sentences(result)
+    assert "nowhere.toml" in sentence
     assert "Traceback" not in result.stderr
     assert not list(tmp_path.iterdir())
 
@@ -92,17 +84,14 @@ def test_a_rank_that_fails_alone_ends_the_job(tmp_path):
     ("words", "said"),
     [
         (["rnu"], "rnu"),
+        (["run", PAPER], "--output"),
         (["run", PAPER, "-o", "a.h5", "--nothing"], "--nothing"),
         (["run", PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "wear.lower.k"),
         (["run", PAPER, "-o", "no/a.h5"], "no/a.h5"),
         (["run", PAPER, "-o", "taken.h5"], "taken.h5"),
         (["run", PAPER, "-o", "a.h5", "--plot", "no/a.png"], "no/a.png"),
         (["run", PAPER, "-o", "a.h5", "--set", "time.steps=1000000000000"], "memory"),
-        (["run", PAPER, "-o", "x" * 250], "name too long"),
-        (["run", PAPER, "-o", "a.h5", "--set", "\x1b=1"], r"\x1b"),
-        (["sweep", "no.toml", "-o", "a", "--slice", "3/2"], "I/N"),
         (["plot", "a.h5", "-o", "a.png", "--dpi", "9"], "2400"),
-        (["export", "a.h5", "-o", "a.vtkhdf", "--revolve", "99999999"], "3600"),
         (["info", "--schema", "nothing_like_it"], "nothing_like_it"),
     ],
 )
@@ -123,23 +112,9 @@ def test_petsc_has_the_options(tmp_path):
     assert result.returncode == 0, result.stderr
     for word in ("preonly", "Residual", "Option left: name:-bem_no"):
         assert word in result.stdout
-    result = ringwear(*words, "-bem_pc_type", "nonsense", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "-bem_" in sentences(result)[0]
     result = ringwear(*words, "-bem_pc_type", "jacobi", cwd=tmp_path)
     assert result.returncode == 1
     assert "relative residual" in sentences(result)[0]
-
-
-def test_help_has_all_commands_by_groups(capsys):
-    for words in ([], ["--help"], ["run", "--help"]):
-        with pytest.raises(SystemExit, match="0"):
-            main(words)
-        told = capsys.readouterr().out
-        for word in ["--restart", "example:"] if "run" in words else ["laboratory:", "explore"]:
-            assert word in told
-    assert main(["info", "--schema", "case", "wear.lower"]) == 0
-    assert "wear.lower.k" in capsys.readouterr().out
 
 
 @NEEDS_MPIRUN
@@ -154,14 +129,3 @@ def test_a_quiet_end_when_the_reader_leaves():
     result = subprocess.run(["bash", "-c", text], env=SHELL_ENVIRONMENT, capture_output=True,
                             text=True, timeout=60, check=False)  # fmt: skip
     assert result.stderr == ""
-
-
-def test_settings_of_a_lonely_start_are_gone_for_programs_that_it_starts():
-    program = """
-import os
-from ringwear_par.cli import main
-before = dict(os.environ)
-main(["info", "--schema", "case"])
-assert not {n for n in os.environ if n.startswith("OMPI_MCA")} - set(before)
-"""
-    assert python("-c", program).returncode == 0

@@ -9,7 +9,6 @@ from ringwear_par.cases.case import RingLayer
 from ringwear_par.cases.files.reading import parse_case
 
 CASE = CASES / "wear_through.toml"
-TEXT = CASE.read_text()
 K = "lower.layers[0].wear.k"
 
 
@@ -60,7 +59,3 @@ def test_a_layer_ends_below_a_face_that_recedes():
     case = rw.read_case(CASE, crown)
     left = case.layer_ends(0)[0]  # of the layer, from the contact plane
     np.testing.assert_allclose(left - 0.1, case.sections[0].depth(case.line.gap_point), atol=1e-15)
-
-
-def test_a_text_may_begin_like_a_list():
-    assert parse_case(TEXT, "case.toml", ["title=[draft"]).title == "[draft"

@@ -25,18 +25,14 @@ def test_numbers_of_our_cases_are_plausible(path):
     ("key", "number", "meant"),
     [
         ("lower.young", 210.0, "210 GPa"),
-        ("lower.young", 4.0, "4 GPa"),
         ("lower.young", 210e9, "2.1e+11 Pa"),
         ("lower.density", 7.85, "7.85 g/cm3"),
-        ("upper.density", 1500.0, "1500 kg/m3"),
         ("lower.layers[0].thickness", 4e-6, "4e-06 m"),
         ("wear.lower.k", 0.02, "0.02 mm3/(N m)"),
     ],
 )
 def test_a_number_out_of_its_range_asks_for_the_unit_that_is_meant(key, number, meant):
-    (text,) = [doubted(LAYERED, **{key: number})[key]]
-    assert f"{key} = {number:g} " in text
-    assert text.endswith(f'write "{meant}"')
+    assert f'"{meant}"' in doubted(LAYERED, **{key: number})[key]
     assert doubted(LAYERED, **{key: meant}) == {}
 
 
@@ -85,15 +81,10 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
 
 
 @pytest.mark.parametrize(
-    ("load", "words"),
-    [
-        ({}, "the approach begins"),
-        ({"load.control": "displacement", "load.pressure": None, "load.displacement": 0.5},
-         "never touch"),
-    ],
-)  # fmt: skip
-def test_bodies_that_are_apart(load, words):
+    "load",
+    [{}, {"load.control": "displacement", "load.pressure": None, "load.displacement": 0.5}],
+)
+def test_bodies_that_are_apart(load):
     keys = {"upper.z": [21, 41], "time.steps": 1, "mesh.contact_elements": 12, **load}
     (doubt,) = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF).doubts
     assert "1 mm apart" in doubt.text
-    assert words in doubt.text

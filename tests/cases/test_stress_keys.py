@@ -1,10 +1,7 @@
 """[stress] in case files: points, grids, sides, units."""
 
-import numpy as np
-import pytest
 from paths import PAPER
 
-import ringwear_par as rw
 from ringwear_par.cases.case import Grid
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
@@ -14,10 +11,6 @@ TEXT = PAPER.read_text()
 
 def case_of(stress, overrides=()):
     return parse_case(f"{TEXT}\n[stress]\n{stress}\n", "case.toml", overrides)
-
-
-def test_absent_is_none():
-    assert parse_case(TEXT, "case.toml").stress is None
 
 
 def test_points_grid_times():
@@ -56,23 +49,6 @@ def test_grid_points_are_in_one_body_or_none():
     upper = grid_bodies(case.replace({"stress.grid.body": "upper"}))
     assert set(upper[:, :2].ravel()) == {-1}
     assert upper[2:7, 2].tolist() == [1] * 5
-
-
-def test_points_of_faces_apart_need_no_side():
-    crowned = ["upper.profile={crown=100}"]
-    case = case_of("points = [[29.0, 20.0], [29.0, 20.02]]", crowned)
-    assert point_bodies(case) == [0, 1]
-    assert case.gap_at(np.array([29.0])) == pytest.approx(0.005, rel=1e-2)
-
-
-def test_points_between_layers_need_a_side():
-    coated = ["lower.layers=[{thickness=0.3, young=1e5, poisson=0.3}]"]
-    with pytest.raises(rw.InputError, match="between two layers"):
-        case_of("points = [[30, 19.7]]", coated)
-    case = case_of('points = [[30, 19.7, "above"], [30, 19.7, "below"], [30, 19.9]]', coated)
-    assert point_bodies(case) == [0, 0, 0]
-    with pytest.raises(rw.InputError, match="edge"):  # where the interface ends
-        case_of('points = [[20, 19.7, "below"]]', coated)
 
 
 def test_a_side_inside_a_body_is_needless():

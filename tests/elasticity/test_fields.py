@@ -61,12 +61,9 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, tmp_path, comm):
             fixed = body.face == FACES.index("fixed")
             assert abs(area @ body.traction[:, 1]) < 1e-4 * force
             assert abs(moment @ body.traction[:, 2]) < 1e-4 * torque
-            assert (area * body.traction[:, 1])[fixed].sum() == pytest.approx(
-                sign * force, rel=1e-4
-            )
-            assert (moment * body.traction[:, 2])[fixed].sum() == pytest.approx(
-                -sign * torque, rel=1e-4
-            )
+            held = (area * body.traction[:, 1])[fixed], (moment * body.traction[:, 2])[fixed]
+            assert held[0].sum() == pytest.approx(sign * force, rel=1e-4)
+            assert held[1].sum() == pytest.approx(-sign * torque, rel=1e-4)
             assert not body.traction[np.isin(body.face, (0, 3, 4))].any()
             assert not body.displacement[body.elements[fixed], 2].any()
         p = result.profiles["pressure"][row]
@@ -135,22 +132,14 @@ def test_opens_in_xarray(tmp_path, comm):
     run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
     for body in ("lower", "upper"):
         with xarray.open_dataset(path, group=f"boundary/{body}", engine="h5netcdf") as data:
-            sizes = dict(data.sizes)
-            assert sizes["boundary_step"] == 5
-            assert sizes["corner"] == 3
-            assert sizes["boundary_node"] == 2 * sizes["boundary_element"]  # closed contours
-            assert data.time.dims == data.steps_made.dims == ("boundary_step",)
-            assert "time" in data.coords
+            assert data.sizes["boundary_node"] == 2 * data.sizes["boundary_element"]  # closed
             assert list(data.time.values) == [0.0, 10.0, 50.0, 100.0, 200.0]
             for name in ("r", "z", "displacement_r", "displacement_z", "displacement_theta"):
                 assert data[name].dims == ("boundary_step", "boundary_node")
             for name in ("traction_r", "traction_z", "traction_theta", "pressure", "wear"):
                 assert data[name].dims == ("boundary_step", "boundary_element")
-            assert data.nodes.dims == ("boundary_element", "corner")
             assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.variables.values())
             assert float(data.wear.max()) > 0 or body == "upper"
-    with xarray.open_dataset(path, engine="h5netcdf") as data:
-        assert dict(data.sizes) == {"step": 5, "element": 16}
 
 
 @pytest.mark.parametrize(
@@ -158,9 +147,7 @@ def test_opens_in_xarray(tmp_path, comm):
     [
         (["output.boundary=last"], [20]),
         (["output.boundary=[0, 7, 7.5, 19]", "output.every=6"], [0, 12, 20]),
-        (["output.boundary=[3.0]"], [3]),
         (["output.boundary=all", "output.every=8"], [0, 8, 16, 20]),
-        (["output.boundary=none"], []),
         (["time={scheme='adaptive', end=20, tolerance=1e-5}", "output.times=[5, 9]",
           "output.boundary=[4, 10]"], [5, 20]),
     ],

@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from petsc4py import PETSc
 from reference_cases import paper_case
 
 import ringwear_par as rw
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.petsc import PETSc
 
-#: ranks share little here: rank 0 reads and writes
 N = 8
 
 
@@ -32,24 +31,14 @@ def same(one, other):
     )
 
 
-def test_what_is_kept_has_the_same_bits(folder, comm):
-    case = paper_case(Mesh(N))
-    first, again = rw.assemble(case, comm), rw.assemble(case, comm)
-    assert same(first, again)
-    assert is_new(first)
-    assert not is_new(again)
-
-
 def test_other_shapes_are_others(folder, comm):
     case = paper_case(Mesh(N))
     lower = case.lower
     cases = [
         case,
         replace(case, mesh=Mesh(N, grading=2.6)),
-        replace(case, mesh=Mesh(N, quadrature_tolerance=1e-6)),
         replace(case, lower=replace(lower, poisson=lower.poisson + 1e-16 * 2)),
         replace(case, upper=replace(case.upper, grip="platen")),
-        replace(case, lower=replace(lower, r=(lower.r[0], lower.r[1] * (1 + 1e-15)))),
     ]
     assert all(is_new(rw.assemble(one, comm)) for one in cases)
     for one in cases:  # moduli, loads and how elements follow the wear make no difference
@@ -58,18 +47,19 @@ def test_other_shapes_are_others(folder, comm):
         assert not is_new(rw.assemble(updated, comm))
 
 
-@pytest.mark.parametrize("how", ["flipped", "cut", "another"])
+@pytest.mark.parametrize("how", ["flipped", "cut"])
 def test_damaged_entries_are_assembled_anew(folder, comm, how):
     case = paper_case(Mesh(N))
     whole = rw.assemble(case, comm)
     (path,) = folder.iterdir()
     content = bytearray(path.read_bytes())
     content[500] ^= 1
-    path.write_bytes({"flipped": content, "cut": content[:-9], "another": b"no pair"}[how])
-    anew = rw.assemble(case, comm)
+    path.write_bytes(content if how == "flipped" else content[:-9])
+    anew, again = rw.assemble(case, comm), rw.assemble(case, comm)
     assert is_new(anew)
+    assert not is_new(again)
     assert same(whole, anew)
-    assert not is_new(rw.assemble(case, comm))
+    assert same(whole, again)
 
 
 def test_options_for_petsc_ask_for_assembly(folder, comm):
@@ -80,9 +70,3 @@ def test_options_for_petsc_ask_for_assembly(folder, comm):
         assert is_new(rw.assemble(case, comm))
     finally:
         del options["bem_ksp_type"]
-
-
-def test_a_folder_that_cannot_be(folder, comm):
-    folder.write_text("a file")
-    case = paper_case(Mesh(N))
-    assert same(rw.assemble(case, comm), rw.assemble(case, comm))

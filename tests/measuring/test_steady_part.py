@@ -16,13 +16,6 @@ from ringwear_par.measuring.analysis.steady_part import (
 )
 
 
-def test_a_line_without_noise_is_found():
-    x = np.linspace(-0.5, 0.5, 30)
-    found = regress(np.column_stack([np.ones(30), x]), 2.0 + 3.0 * x)
-    assert found.coefficients == pytest.approx([2.0, 3.0])
-    assert found.sd < 1e-12
-
-
 def test_uncertainties_count_what_errors_remember():
     """Means of AR(1) series scatter by sd sqrt((1 + phi)/(1 - phi)/n): white intervals miss it."""
     rng, n, phi, inside, white_inside = np.random.default_rng(3), 150, 0.7, 0, 0
@@ -87,7 +80,7 @@ def steady(duration, seed):
                                     (20.0, 1.0, 1.0)]
 )  # fmt: skip
 def test_short_and_noisy_records_are_not_steady_for_want_of_evidence(duration, least, most):
-    records = [steady(duration, seed) for seed in range(60)]
+    records = [steady(duration, seed) for seed in range(40)]
     share = np.mean([part.steady for part, *_ in records])
     assert least <= share <= most
     if duration >= 10.0:
@@ -96,12 +89,6 @@ def test_short_and_noisy_records_are_not_steady_for_want_of_evidence(duration, l
     if duration == 20.0:
         bias = np.mean([rate / true - 1.0 for _, rate, _, true in records])
         assert 0.0 < bias < 0.03  # what is left of running-in
-
-
-def test_a_record_that_is_linear_is_steady_at_once():
-    time = np.linspace(0.0, 3600.0, 300)
-    noise = 0.01 * np.random.default_rng(2).standard_normal(300)
-    assert steady_start(block_means(time, 1e-2 * time + noise), 2, 0.15) == 0.0
 
 
 def test_fewer_than_twenty_blocks_are_never_steady():

@@ -1,7 +1,6 @@
 """The drawing of the rig: true to the case, and legible for any proportions."""
 
 import itertools
-import re
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from paths import ROOT
 
 import ringwear_par as rw
-from ringwear_par.pictures.rig import rig_svg
 
 CASES = [
     path
@@ -55,22 +53,3 @@ def test_outlines_are_those_of_the_case():
     for outline, ring in ((filled[0], case.lower), (filled[2], case.upper)):
         assert outline.min(axis=0) == pytest.approx((ring.r[0], ring.z[0]))
         assert outline.max(axis=0) == pytest.approx((ring.r[1], ring.z[1]))
-
-
-def test_notebooks_and_pages_have_one_drawing():
-    case = rw.read_case(ROOT / "scripts/cases/two_layers.toml")
-    svg = case._repr_html_()
-    assert svg == rig_svg(case)
-    words = set(re.findall(r">([^<>]+)</text>", svg))
-    assert {"friction 0.1", "not to scale: layers"} <= {w.partition("mm, ")[2] or w for w in words}
-
-
-def test_the_command_draws_a_case_alone(capsys):
-    from parts import main
-
-    case = str(ROOT / "scripts/cases/paper.toml")
-    assert main(["plot", case, "-o", "rig.svg", "--steps", "1"]) == 2
-    assert (
-        "is a case; must be the only thing to be drawn, without panels, steps"
-        in capsys.readouterr().err
-    )
