@@ -212,7 +212,7 @@ def test_limits_cut_what_scatters(limit, sd, sizes, monkeypatch):
         # in units of the noise, and with a constant of three readings less one unknown
         mass += 3.0 * np.log(sd) + 0.5 * 2.0 * np.log(2.0 * np.pi)
         assert -0.5 * solved.restricted[i] == pytest.approx(mass, abs=0.01, rel=1e-8)
-    monkeypatch.setattr(likelihood, "_MOST_SWEEPS", 2)
+    monkeypatch.setattr(likelihood, "MOST_SWEEPS", 2)
     assert not model.solve(tau[:, None]).settled.any()
 
 

@@ -230,7 +230,7 @@ def test_limits_that_do_not_settle_are_doubted(tables, monkeypatch):
         {"quantity": "mass.lower", "value": 0.1, "unit": "mg", "density": 7.8e-3, "sd": 0.05,
          "censored": "below"}
     ]  # fmt: skip
-    monkeypatch.setattr(likelihood, "_MOST_SWEEPS", 3)
+    monkeypatch.setattr(likelihood, "MOST_SWEEPS", 3)
     assert "limits-not-settled" in {d.code for d in rw.fit(limited, MPI.COMM_SELF).doubts}
 
 

@@ -7,10 +7,8 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
+from parts import drawn_series, expected_result, read_fit
 
-from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.figures import drawn_series
-from ringwear_par.identification.fit import expected_result
 from ringwear_par.pictures import fit_panels
 
 
