@@ -14,12 +14,14 @@ mypy
 # first of all, as it compiles what many processes would want at the same time
 ringwear verify > /dev/null
 # limits are for hangs, not for load; many tests wait for programs, so there are more of them than cores
-timeout -k 5 1800 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder
+timeout -k 5 1800 python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder --ignore tests/docs
+timeout -k 5 900 python -m pytest -q -n 3 tests/docs
 log="$(mktemp)"
 for ranks in 2 3; do
     echo "on $ranks ranks"
     # every rank reports: the first is enough where all went well
-    timeout -k 5 900 mpirun -n "$ranks" python -m pytest -q --color=no --with-mpi > "$log" 2>&1 || { cat "$log"; exit 1; }
+    timeout -k 5 900 mpirun -n "$ranks" python -m pytest -q --color=no --only-mpi tests/mpi > "$log" 2>&1 ||
+        { cat "$log"; exit 1; }
     grep -a -m 1 passed "$log"
 done
 rm "$log"
