@@ -1,5 +1,5 @@
 # docker build -t ringwear-par .
-# docker run --rm -v "$PWD":/work ringwear-par mpirun -n 2 ringwear run case.toml -o run.h5
+# docker run --rm -v "$PWD":/data ringwear-par mpirun -n 2 ringwear run case.toml -o run.h5
 FROM debian:12-slim
 RUN apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends python3-venv python3-petsc4py \
         python3-petsc4py-real python3-mpi4py python3-scipy openmpi-bin libopenblas0-pthread && rm -rf /var/lib/apt/lists/*
@@ -15,5 +15,5 @@ ENV PATH=/opt/ringwear/bin:$PATH NUMBA_CACHE_DIR=/opt/ringwear/compiled OPENBLAS
 RUN ringwear verify > /dev/null && chmod -R a+rX /opt/ringwear/compiled && chmod a+w /opt/ringwear/compiled/*/
 RUN useradd --create-home tribologist
 USER tribologist
-WORKDIR /work
+WORKDIR /data
 CMD ["ringwear", "info"]
