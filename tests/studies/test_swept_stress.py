@@ -109,7 +109,7 @@ def test_stresses_at_some_times_are_those_of_single_runs(comm, tmp_path):
 LISTS = """
 [vary]
 "lower.layers" = { values = [[], [%(thin)s], [%(thin)s, %(soft)s]%(more)s] }
-"load.pressure" = { values = [60, 90] }
+"load.pressure" = { values = [80] }
 [design]
 method = "grid"
 """
@@ -147,7 +147,7 @@ def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
                 in_table = [float(row[column] or "nan") for column in columns]
                 np.testing.assert_array_equal(in_table, stored)
                 assert f"{name}[{most}]" not in row
-        assert sorted(counts) == sorted([*range(most + 1)] * 2)
+        assert sorted(counts) == [*range(most + 1)]
 
 
 def test_surrogates_answer_for_stresses(swept):
