@@ -337,7 +337,7 @@ def test_what_is_refused(word, edit, options, laboratory, tmp_path):
     text = (laboratory / "running.toml").read_text()
     path = laboratory / "refused.toml"
     path.write_text(text.replace(*edit) if edit else text)
+    options = {"after": laboratory / "out", "once": True, **options}
     with pytest.raises(rw.InputError, match=word):
-        options = {"after": laboratory / "out", "once": True, **options}
         run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
     assert not (tmp_path / "out").exists()
