@@ -24,7 +24,6 @@ from scipy.stats import norm
 import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fitted_values import fitted_values
-from ringwear_par.identification.scatter import likelihood
 
 pytestmark = pytest.mark.slow
 
@@ -141,7 +140,7 @@ def test_a_posterior_that_bends_is_followed(tables, fit):
     assert set(ends) == {K, P0}
 
 
-def test_tests_that_disagree_are_told(tables):
+def test_tests_that_disagree_are_a_doubt(tables):
     fit = rw.fit({**tables, "fit": {**tables["fit"], "starts": 1}}, MPI.COMM_SELF)
     (doubt,) = (d for d in fit.doubts if d.code == "tests-disagree" and d.keys == (K,))
     assert doubt.values["p"] < 1e-6
@@ -220,18 +219,6 @@ def test_bounds_of_the_material(tables):
     assert (p0["estimate"], p0["verdict"]) == (50.0, "at bound")
     assert p0["interval"][0] is None
     assert p0["interval"][1] > 50.0
-
-
-def test_limits_that_do_not_settle_are_doubted(tables, monkeypatch):
-    limited = with_scatter(tables)
-    del limited["fit"]["parameters"][P0]
-    limited["fit"]["starts"] = 1
-    limited["experiment"][0]["data"] = [
-        {"quantity": "mass.lower", "value": 0.1, "unit": "mg", "density": 7.8e-3, "sd": 0.05,
-         "censored": "below"}
-    ]  # fmt: skip
-    monkeypatch.setattr(likelihood, "MOST_SWEEPS", 3)
-    assert "limits-not-settled" in {d.code for d in rw.fit(limited, MPI.COMM_SELF).doubts}
 
 
 def test_groups_that_are_refused(tables):
