@@ -21,7 +21,7 @@ from ringwear_par.identification.model.noise import NuisanceProjection, mills_ra
 
 #: of factors that stand for limits: most sweeps, share of a move, and moves that are none; least
 #: share of a variance, for round-off
-MOST_SWEEPS, _DAMPED, _STILL, _LEAST = 60, 0.7, 1e-6, 1e-9
+_MOST_SWEEPS, _DAMPED, _STILL, _LEAST = 60, 0.7, 1e-6, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +292,7 @@ class MixedModel:
         """
         rows = scale[:, None, :] * self._limit_rows
         precision, shift = np.zeros((2, *rows.shape[:2]))
-        for _ in range(MOST_SWEEPS):
+        for _ in range(_MOST_SWEEPS):
             whole = hessian + np.einsum("gli,gl,glj->gij", rows, precision, rows, optimize=True)
             covariance = np.linalg.inv(whole)
             across = np.einsum("gli,gij->glj", rows, covariance)
