@@ -38,7 +38,7 @@ def test_overrides_of_single_entries():
     assert case.replace({"stress.exclude": 0}).stress.exclude == 0.0
 
 
-def test_grid_points_are_in_one_body_or_none():
+def test_grid_points_are_in_one_body_or_outside_both():
     case = case_of("grid = { r = [28, 32], z = [19, 21], n = [9, 5] }")
     found = grid_bodies(case)
     assert found.shape == (9, 5)

@@ -118,7 +118,7 @@ def test_zones_share_their_interfaces_and_balance(body, contact, comm):
 
 @pytest.mark.parametrize("layers", [(0.001,), (0.05,), (0.5,), (2.0, 3.0)])
 @pytest.mark.parametrize("which", [0, 1])
-def test_layers_of_the_same_material_are_none(layers, which, comm):
+def test_layers_of_the_same_material_change_nothing(layers, which, comm):
     mesh, both = Mesh(48), [LOWER, UPPER]
     line = contact_line(CONTACT, mesh)
     plain = approach(assemble_pair(tuple(both), line, mesh, comm), line)

@@ -59,7 +59,7 @@ def test_compliances_of_both_bodies_add_up(pair):
     assert lower.symmetry_defect < 0.05
 
 
-def test_a_compliance_that_is_none_is_refused(pair):
+def test_a_compliance_that_is_not_positive_definite_is_refused(pair):
     wrong = replace(pair, normal=-pair.normal)
     with pytest.raises(rw.ComputationError, match="positive definite"):
         wrong.compliance((1.0, 1.0))

@@ -42,7 +42,7 @@ async def _answers(address):
     return token, host, codes, page
 
 
-def test_nobody_gets_anything_without_the_token():
+def test_nothing_is_served_without_the_token():
     with served(PAPER, "--set", *SMALL) as (address, process):
         token, host, codes, page = asyncio.run(_answers(address))
         assert len(token) >= 32
@@ -56,7 +56,7 @@ def test_nobody_gets_anything_without_the_token():
         assert "Traceback" not in said
 
 
-def test_a_port_and_a_signal_while_nobody_looks():
+def test_a_port_and_a_signal_before_a_visit():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         refused = ringwear("explore", PAPER, "--no-browser", "--port", port)

@@ -61,7 +61,7 @@ def pages(folder):
     return {kind: Read((folder / f"{kind}.html").read_text()) for kind in KINDS}
 
 
-def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
+def test_the_page_of_a_run_has_the_numbers_of_its_summary(folder, pages):
     result, page = rw.open_result(folder / "run.h5"), pages["run"]
     for line in result.summary(verbose=True).splitlines():
         words = re.sub(r"\bum\b", MICRO, re.sub(r"\bmm3\b", CUBED, line)).split()
@@ -104,7 +104,7 @@ def test_the_case_is_described_in_words_and_as_text(folder, pages):
     assert " ".join(stored.case.split()) in pages["run"].text
 
 
-def test_a_sweep_is_told_with_its_failures(folder, pages):
+def test_the_page_of_a_sweep_has_its_failures(folder, pages):
     page = pages["sweep"]
     with rw.open_ensemble(folder / "sweep") as ensemble:
         ids, status = ensemble["case"].values, ensemble["status"].values
@@ -142,7 +142,7 @@ def test_charts_of_a_sweep_name_cases_and_their_values(folder, pages):
     assert np.isclose(fan["95 %"][1][-1], np.quantile(last, 0.95))
 
 
-def test_a_fit_is_told_as_its_file_has_it(folder, pages):
+def test_the_page_of_a_fit_has_the_numbers_of_its_file(folder, pages):
     page, told = pages["fit"], json.loads((folder / "fit/fit.json").read_text())
     estimates = next(t for t in page.tables if t[0][:2] == ["key", "estimate"])
     for row, (key, one) in zip(estimates[1:], told["parameters"].items(), strict=True):
