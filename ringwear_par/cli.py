@@ -16,7 +16,7 @@ from io import TextIOWrapper
 from typing import Any
 
 from ringwear_par.commands import loaded, parsed
-from ringwear_par.errors import RingwearError
+from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.parallel import as_ours, on_first_rank, together
 from ringwear_par.results.execution.stop_signals import StopSignals
 
@@ -81,7 +81,7 @@ def _world() -> Any:
     size = MPI.COMM_WORLD.size
     told = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", f"{size}"))
     if told != f"{size}":
-        raise RingwearError(
+        raise InputError(
             f"started on {told} ranks but MPI has {size} rank(s): mpirun and mpi4py belong to "
             "different MPI libraries (see ringwear info)"
         )
@@ -95,13 +95,14 @@ def _run(words: list[str], comm: Any) -> None:
     with together(comm):
         arguments = parsed(words[:cut])
     function, kind = arguments.pop("load")
-    anew = arguments.pop("no_cache", False)
-    if arguments.pop("command") == "verify" or anew:
+    del arguments["command"]
+    if arguments.pop("no_cache"):
         from ringwear_par.elasticity import pair_cache
 
         os.environ[pair_cache.VARIABLE] = ""
     if kind == "solves" or words[cut + 1 :]:
-        start_petsc(words[cut + 1 :])
+        with together(comm):
+            start_petsc(words[cut + 1 :])
     if kind != "serial":
         loaded(function)(comm=comm, **arguments)
     elif text := on_first_rank(comm, lambda: loaded(function)(**arguments)):
@@ -109,11 +110,14 @@ def _run(words: list[str], comm: Any) -> None:
 
 
 def _end(comm: Any, message: str, status: int, error: BaseException | None = None) -> int:
-    """Say why the command ends, and return its status; end the ranks that may be waiting.
+    """Say why the command ends, and return its status.
 
-    None are where all ranks raise the error, or that which it comes from.
+    Where not all ranks are known to raise the error, others may be waiting: MPI ends them.
     """
-    first = comm is None or comm.rank == 0
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+    told = os.environ.get("OMPI_COMM_WORLD_RANK", os.environ.get("PMI_RANK", "0"))
+    first = told == "0" if comm is None else comm.rank == 0
     alike = comm is None or comm.size == 1
     while error is not None and not alike:
         alike, error = getattr(error, "ranks", 0) == comm.size, error.__cause__

@@ -1,4 +1,4 @@
-"""PETSc's options: it reads those of the command line; a prefix for each kind of solver."""
+"""Start of PETSc with options of the command line; the prefix of each kind of solver."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

@@ -24,6 +24,7 @@ from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.start import first_contact
+from ringwear_par.parallel import together
 from ringwear_par.results.execution.simulate import simulate
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -182,5 +183,6 @@ def verify(comm: MPI.Comm) -> None:
     passed = f"{count - len(failed)} of {count} checks passed"
     if comm.rank == 0:
         print(f"{passed} in {time.perf_counter() - started:.1f} s", flush=True)
-    if failed:
-        raise ComputationError(f"{passed}; failed: {'; '.join(failed)}")
+    with together(comm):
+        if failed:
+            raise ComputationError(f"{passed}; failed: {'; '.join(failed)}")

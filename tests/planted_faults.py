@@ -227,7 +227,7 @@ def is_caught(fault: Fault, copy: Path) -> bool:
         **os.environ, "PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1",
         "PYTHONDONTWRITEBYTECODE": "1",
     }  # fmt: skip
-    if fault.file.startswith(("elasticity", "contact")):  # then all kernels are compiled anew
+    if fault.file.startswith(("elasticity", "contact", "compiled")):  # kernels are compiled anew
         environment["NUMBA_CACHE_DIR"] = str(copy.parent / fault.name.replace(" ", "-"))
     words = [part if part.startswith("-k") or "/" not in part else f"tests/{part}"
              for part in fault.tests.split()]  # fmt: skip

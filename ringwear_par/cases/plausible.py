@@ -37,12 +37,13 @@ def implausible_numbers(case: Case) -> tuple[ValidityWarning, ...]:
         unit, low, high = _PLAUSIBLE[name]
         if name == "young" and case.materials[table].poisson >= _RUBBERY:
             low = _SOFTEST
-        if not low <= number <= high and key not in case.with_units:
+        if not low <= number <= high and key.removesuffix("[1]") not in case.with_units:
             others = (u for u in _OTHER_UNITS[unit] if low <= number * factor(u, unit) <= high)
-            other = next(others, unit)
+            other = next(others, "")
+            meant = f"in {other}" if other else "meant"
             text = (
                 f"{key} = {number:g} {unit} is out of the plausible {low:g} to {high:g} {unit}; "
-                f'if it is in {other}, write "{number:g} {other}"'
+                f'if it is {meant}, write "{number:g} {other or unit}"'
             )
             warnings.append(ValidityWarning("implausible_numbers", text, (key,)))
     return tuple(warnings)
@@ -57,8 +58,8 @@ def _numbers(case: Case) -> Iterator[tuple[str, float]]:
     for body, ring in zip(BODIES, case.rings, strict=True):
         yield f"{body}.r[1]", ring.r[1]
     for table, law in case.laws_by_table.items():
-        for name in ("k", "k_start"):
-            if name in parameters_of(type(law)):
+        for name, parameter in parameters_of(type(law)).items():
+            if name in _PLAUSIBLE and parameter.unit == "1/MPa":
                 yield f"{table}.{name}", largest(getattr(law, name))
 
 

@@ -117,7 +117,7 @@ class Progress:
     #: s, shortest of the next steps since an element came to its next layer, or since the start;
     #: infinite where there was none
     shortest: FloatArray
-    #: mm, estimated error of the last step, all of its parts, see ``Step.history_error``
+    #: mm, estimated error of the last adaptive step, see ``Step.history_error``
     step_error: FloatArray
 
     @classmethod

@@ -97,7 +97,7 @@ def _padded(rows: Sequence[Sequence[float]]) -> FloatArray:
 
 @dataclass(frozen=True)
 class FixedSteps:
-    """Steps of one length, or to given times; their errors are estimated, not controlled."""
+    """Steps of one length, or to given times."""
 
     #: (B,) s
     length: FloatArray
@@ -139,7 +139,6 @@ class FixedSteps:
         iterations = progress.tried_iterations + step.state.contact.iterations
         accepted = np.logical_not(step.too_far) & np.ones(len(self.length), dtype=bool)
         complete = accepted & (step.state.time == self._end(progress))
-        parts = np.where(progress.begun, progress.step_error, 0.0)  # of this step so far
         return Decision(
             accepted,
             complete,
@@ -150,7 +149,6 @@ class FixedSteps:
                 tried_iterations=np.where(complete, 0, iterations),
                 begun=~complete & (accepted | progress.begun),
                 interface=np.where(accepted, np.inf, step.interface),
-                step_error=parts + np.where(accepted, step.history_error, 0.0),
             ),
         )
 

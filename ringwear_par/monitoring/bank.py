@@ -169,10 +169,6 @@ class Bank:
         self._linearised = problem, linearised
         return linearised
 
-    def weigh(self, test: LinearisedTest) -> FloatArray:
-        """Return the weights (draws,) of the draws by a linearised test's readings."""
-        return normalised(self._logs(self._log_likelihood(test)))
-
     def update(self, problem: Problem, chosen: BoolArray) -> FloatArray:
         """Return the weights by readings; draws are made anew where few have all the weight.
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import density_keys
-from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
@@ -395,8 +394,7 @@ def check_numbers(result: Result) -> list[KeyNumber]:
     numbers.append(
         KeyNumber("symmetry_defect", MESH_BALANCES, label, defect, "", ".1e", "corrected for")
     )
-    # of fixed steps the worst one's error says nothing of the history, which forgets most of it
-    if "step_error" in off and SCHEMES[about["scheme"]].adaptive:
+    if "step_error" in off:
         error, label = 1e3 * off["step_error"], "of the whole history"
         numbers.append(KeyNumber("step_error", TIME_STEPS, label, error, "um", ".2g"))
     return numbers

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parents[1]
-FILES = [p for p in TESTS.rglob("test_*.py") if p.parent != TESTS / "repository"]
+FILES = [p for p in TESTS.rglob("*.py") if p.parent.name not in ("tests", "repository", "helpers")]
+FILES += TESTS.glob("test_*.py")
 #: folders whose tests are of several rooms, or of one that is called otherwise
 ROOMS = {
     "mpi": {"elasticity", "parallel", "verify"},

@@ -122,7 +122,11 @@ def written_units(case: Any, folder: Path) -> dict[str, str]:
 
 def keys_with_units(keys: Mapping[str, Any]) -> frozenset[str]:
     """Return the dotted keys whose numbers are written with a unit, those of layers too."""
-    return frozenset(path for path, value in expanded(keys).items() if has_unit(value))
+    return frozenset(
+        path
+        for path, value in expanded(keys).items()
+        if any(map(has_unit, value if isinstance(value, list) else [value]))
+    )
 
 
 def kinds(tables: Mapping[str, Any]) -> set[str]:
@@ -159,7 +163,8 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
     for item in overrides:
         path, equals, text = item.partition("=")
         if not equals or not path.strip():
-            faults.append(f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50")
+            sentence = f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50"
+            faults.append(Fault(sentence, code="not_allowed"))
             continue
         path, value = path.strip(), parse_value(text)
         is_text = path in BY_PATH and BY_PATH[path].kind == "text"
@@ -169,8 +174,8 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def changed_keys(changes: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return the dotted keys of changes, of which a table takes the place of the one before.
+def replacing_tables(changes: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the dotted keys of changes; a table replaces the one before.
 
     Raises
     ------

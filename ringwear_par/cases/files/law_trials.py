@@ -3,7 +3,7 @@
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import InputError
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.schedules import largest
 from ringwear_par.wear.checked_law import CompletedLaw
 from ringwear_par.wear.laws import LAWS
@@ -54,7 +54,7 @@ def refuse_bad_laws(case: Case, name: str) -> None:
                 law = CompletedLaw(law)
             check_user_law(law, _at_start(case), pressure)
         except InputError as error:
-            faults += [f"{name}: {key}: {fault}" for fault in error.faults]
+            faults += [Fault(f"{name}: {key}: {f}", key, "not_allowed") for f in error.faults]
     if faults:
         raise InputError(*faults)
 

@@ -25,7 +25,6 @@ from ringwear_par.cases.files.faults import (
 )
 from ringwear_par.cases.files.key_values import read_law, read_values
 from ringwear_par.cases.files.keys import (
-    changed_keys,
     flatten,
     in_full,
     keys_with_units,
@@ -34,6 +33,7 @@ from ringwear_par.cases.files.keys import (
     parse_overrides,
     read_keys,
     refuse_study,
+    replacing_tables,
 )
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.schema import SCHEMES, STOP_CRITERIA
@@ -111,9 +111,9 @@ def _changed(
 ) -> Case:
     """Make a case of dotted keys and overrides; ``with_units``: which of these keys had units."""
     if isinstance(overrides, Mapping):
-        setting, changes = "override", changed_keys(overrides, "overrides")
+        setting, changes = "override", replacing_tables(overrides, "overrides")
     else:
-        setting, changes = "--set", changed_keys(parse_overrides(overrides), "--set")
+        setting, changes = "--set", replacing_tables(parse_overrides(overrides), "--set")
     if not changes:
         return make_case(keys, name, text, with_units)
     with naming(setting):

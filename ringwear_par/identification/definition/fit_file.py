@@ -131,7 +131,9 @@ def experiment_tables(
     if not isinstance(written, list) or not (written or "tests" in file):
         state = "is missing" if written is None else f"= {shortened(written)}"
         sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
-        faults.append(Fault(sentence, "experiment", "missing" if written is None else None))
+        faults.append(
+            Fault(sentence, "experiment", "missing" if written is None else "not_allowed")
+        )
         return []
     tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
     if "tests" not in file:

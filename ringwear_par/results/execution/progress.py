@@ -26,8 +26,9 @@ class Progress:
     def __init__(self, total: float | None = None, start: float = 0.0, pause: float = 0.2) -> None:
         self._begun = self._last = time.perf_counter()
         self._bar: Any = None
-        self._pause = pause if sys.stderr.isatty() else PROGRESS_SECONDS
-        if sys.stderr.isatty():
+        terminal = sys.stderr.isatty()
+        self._pause = pause if terminal else PROGRESS_SECONDS
+        if terminal:
             from tqdm import tqdm  # slow to import
 
             form = "{desc} [{elapsed}]" if total is None else "{desc} {bar} [{elapsed}<{remaining}]"

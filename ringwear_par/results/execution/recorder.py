@@ -218,6 +218,9 @@ class Recorder:
         through = times_through(case, self._last.through[:, number])
         worst = self.warnings.worst(np.array([number]))
         about = case_attributes(case, time_reached)
+        balances = vars(self._balances.history(number)).copy()
+        if not case.time.adaptive:  # nothing is known of the errors of fixed steps
+            del balances["step_error"]
         if number in self._last.stops:
             about["stopped_by"] = " and ".join(self._last.stops[number].values())
 
@@ -240,7 +243,7 @@ class Recorder:
                 "ranks": self._comm.size,
                 "begun_by": self._before.get("begun_by", about["version"]),
                 **self.seconds(),
-                **balance_attributes(vars(self._balances.history(number))),
+                **balance_attributes(balances),
                 "symmetry_defect": float(last.symmetry_defect[place]),
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),

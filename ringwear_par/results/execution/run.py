@@ -18,7 +18,7 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError, Unf
 from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import is_at_end, simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
-from ringwear_par.parallel import on_first_rank, warn_of_threads
+from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare
 from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
@@ -153,12 +153,13 @@ def run_case(
                 lines.append(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
             print("\n".join([*lines, *_closing_lines(output, result, recorder.finished)]))
         last = recorder.last
-        if last is not None and not recorder.finished:
-            raise ComputationError(
-                f"stopped by {watch.signal_name} after step {last.progress.steps[0]} "
-                f"{_progress(case, float(last.state.time[0]))}; {output} holds them, and the same "
-                f"command with --restart continues"
-            )
+        with together(comm):
+            if last is not None and not recorder.finished:
+                raise ComputationError(
+                    f"stopped by {watch.signal_name} after step {last.progress.steps[0]} "
+                    f"{_progress(case, float(last.state.time[0]))}; {output} holds them, and the "
+                    "same command with --restart continues"
+                )
     return _draw(output, figure, comm)
 
 

@@ -16,7 +16,13 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.errors import RingwearError
-from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, with_help_of_all
+from ringwear_par.parallel import (
+    on_first_rank,
+    peak_memory,
+    together,
+    warn_of_threads,
+    with_help_of_all,
+)
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
@@ -75,8 +81,9 @@ def sweep(
     comm = MPI.COMM_WORLD if comm is None else comm
     request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed)
     summary, trouble = _sweep(study, request, comm)
-    if trouble is not None:
-        raise trouble
+    with together(comm):
+        if trouble is not None:
+            raise trouble
     return summary
 
 
@@ -100,8 +107,9 @@ def run_sweep(
     summary, trouble = _sweep(study, request, comm)
     if comm.rank == 0:
         print(summary)
-    if trouble is not None:
-        raise trouble
+    with together(comm):
+        if trouble is not None:
+            raise trouble
 
 
 def _plan(source: Source, request: Request, comm: MPI.Intracomm, locks: ExitStack | None) -> Plan:

@@ -75,10 +75,10 @@ class SweepFolder:
         check_writable(self.path / RESULTS)
 
     def clear(self) -> None:
-        """Remove what says that a sweep was stopped. Needs the folder's lock."""
+        """Remove marks of stopped sweeps and half files of killed ones. Needs the folder's lock."""
         self.stopped.unlink(missing_ok=True)
-        if not self.part:
-            for path in self.path.glob("STOPPED.*"):
+        for pattern in [] if self.part else ["STOPPED.*", ".*.tmp"]:
+            for path in self.path.glob(pattern):
                 path.unlink(missing_ok=True)
 
     # -- which cases it holds ----------------------------------------------------------------------
