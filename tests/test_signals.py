@@ -29,7 +29,8 @@ def started(*words, ranks=0, cwd=None):
     """A command, killed at last."""
     launcher = ["mpirun", "-n", str(ranks)] if ranks else []
     with subprocess.Popen(
-        [*launcher, *RINGWEAR, *map(str, words)], cwd=cwd, env=SHELL_ENVIRONMENT, text=True,
+        [*launcher, *RINGWEAR, *map(str, words)], cwd=cwd, text=True,
+        env={**SHELL_ENVIRONMENT, "OPENBLAS_NUM_THREADS": "1"},  # as what it is compared with
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         try:
