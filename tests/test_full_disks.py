@@ -24,8 +24,10 @@ def limited(size, *words):
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(size), int(size)))
 
+    # Python would leave half of what it compiles beside the package, too
+    environment = {**SHELL_ENVIRONMENT, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [*RINGWEAR, *map(str, words)], env=SHELL_ENVIRONMENT, preexec_fn=limit,
+        [*RINGWEAR, *map(str, words)], env=environment, preexec_fn=limit,
         capture_output=True, text=True, timeout=200, check=False,
     )  # fmt: skip
     assert "Traceback" not in done.stderr
