@@ -35,7 +35,8 @@ FOLDERS = {"ringwear_par": 61990, "tests": 20653, "scripts slurm": 798, "docs": 
 def sizes(folder):
     """Return the lines of each program in a folder, by its place there."""
     top = ROOT / folder
-    programs = (p for p in top.rglob("*") if p.suffix in PROGRAMS and "_build" not in p.parts)
+    built = {"_build", "generated"}  # by the build of the site
+    programs = (p for p in top.rglob("*") if p.suffix in PROGRAMS and not built & {*p.parts})
     return {p.relative_to(top): p.read_text("utf-8").count("\n") for p in programs}
 
 
