@@ -29,7 +29,7 @@ ROOMS = {
     "parallel.py petsc.py arrays.py batched.py options.py": 422,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 61990, "tests": 20653, "scripts slurm": 798, "docs": 1198}
+FOLDERS = {"ringwear_par": 61990, "tests": 20660, "scripts slurm": 798, "docs": 1198}
 
 
 def sizes(folder):
