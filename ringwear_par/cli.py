@@ -79,10 +79,10 @@ def _world() -> Any:
         for name in mine:
             del os.environ[name]
     size = MPI.COMM_WORLD.size
-    told = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", f"{size}"))
-    if told != f"{size}":
+    wanted = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", f"{size}"))
+    if wanted != f"{size}":
         raise InputError(
-            f"started on {told} ranks but MPI has {size} rank(s): mpirun and mpi4py belong to "
+            f"started on {wanted} ranks but MPI has {size} rank(s): mpirun and mpi4py belong to "
             "different MPI libraries (see ringwear info)"
         )
     return MPI.COMM_WORLD
@@ -116,8 +116,8 @@ def _end(comm: Any, message: str, status: int, error: BaseException | None = Non
     """
     with suppress(OSError, ValueError):
         sys.stdout.flush()
-    told = os.environ.get("OMPI_COMM_WORLD_RANK", os.environ.get("PMI_RANK", "0"))
-    first = told == "0" if comm is None else comm.rank == 0
+    rank = os.environ.get("OMPI_COMM_WORLD_RANK", os.environ.get("PMI_RANK", "0"))
+    first = rank == "0" if comm is None else comm.rank == 0
     alike = comm is None or comm.size == 1
     while error is not None and not alike:
         alike, error = getattr(error, "ranks", 0) == comm.size, error.__cause__

@@ -44,10 +44,10 @@ def refuse_others(folder: Path, command: str) -> None:
     """
     for name, owner in _COMMANDS.items():
         path = folder / name
-        there = path.exists()
+        occupied = path.exists()
         if path.is_dir():  # a sweep that failed before its first case has left empty files
-            there = any(file.stat().st_size for file in path.iterdir())
-        if owner != command and there:
+            occupied = any(file.stat().st_size for file in path.iterdir())
+        if owner != command and occupied:
             raise InputError(
                 f"{folder}: is the folder of ringwear {owner} ({name}); must be another, or new"
             )
