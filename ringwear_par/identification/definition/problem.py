@@ -213,6 +213,16 @@ class Series:
         return self.quantity.partition(".")[0]
 
     @property
+    def linear_nuisances(self) -> "tuple[Nuisance, ...]":
+        """Its nuisances but for the time of thermal growth."""
+        return tuple(n for n in self.nuisances if n.kind != GROWTH_TIME)
+
+    @property
+    def growth_time(self) -> "Nuisance | None":
+        """The time of its thermal growth, if there is any."""
+        return next((n for n in self.nuisances if n.kind == GROWTH_TIME), None)
+
+    @property
     def profile(self) -> bool:
         """Whether it is read along the radius."""
         return self.kind == "profile"

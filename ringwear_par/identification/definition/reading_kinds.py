@@ -9,25 +9,22 @@ from ringwear_par.elasticity.sections import BODIES
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The quantities of a history that are read, at its s steps, the start included.
-
-    The last axis of all but ``time`` holds the value and, where there are any, its derivatives.
-    """
+    """The quantities of a history that are read, at its s steps, the start included."""
 
     #: (s,) s.
     time: FloatArray
-    #: (s, q) mm.
+    #: (s,) mm.
     approach: FloatArray
-    #: (s, q) N mm.
+    #: (s,) N mm.
     torque: FloatArray
-    #: (2, s, q) mm^3, worn off lower and upper.
+    #: (2, s) mm^3, worn off lower and upper.
     volume: FloatArray
-    #: (2, s, n, q) mm.
+    #: (2, s, n) mm.
     wear: FloatArray
-    #: (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these are
+    #: (2, s) g, lost by lower and upper by the densities of their layers; NaN where these are
     #: not known.
     mass: FloatArray
-    #: (2, q) s, at which the first layers of lower and upper are worn through; NaN without layers
+    #: (2,) s, at which the first layers of lower and upper are worn through; NaN without layers
     through: FloatArray
 
 
@@ -39,8 +36,8 @@ class ReadingKind:
     unit: str
     #: kinds that these readings may have
     nuisances: tuple[str, ...]
-    #: returns what is read at the ends of steps, (s, q), of a body (0 lower, 1 upper) and its
-    #: density, g/mm^3; None: ``model/readings.py`` reads it in another way
+    #: returns what is read at the ends of steps, (s,), of a body (0 lower, 1 upper) and its
+    #: density, g/mm^3; None: ``readings.py`` reads it in another way
     values: Callable[[Trajectory, int, float | None], FloatArray] | None
     #: whether its quantities name a body
     of_body: bool = False

@@ -14,7 +14,6 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import (
-    GROWTH_TIME,
     Experiment,
     Nuisance,
     Series,
@@ -68,14 +67,10 @@ class TimeInterpolation:
 
 
 class Reader:
-    """Reads all series of an experiment, whose case may have other values of the fitted keys.
+    """Reads all series of an experiment, whose case may have other values of the fitted keys."""
 
-    Mean worn depths of the bodies ``clocks`` (0 lower, 1 upper) are read along.
-    """
-
-    def __init__(self, experiment: Experiment, clocks: Sequence[int] = ()) -> None:
+    def __init__(self, experiment: Experiment) -> None:
         case = experiment.case
-        self._clocks, self._area = list(clocks), case.area
         self._series = experiment.series
         self._breaks = (0.0, *case.breakpoints, case.time.end)
         self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
@@ -83,10 +78,7 @@ class Reader:
         self._steps: dict[bytes, dict[str, TimeInterpolation]] = {}
 
     def read(self, trajectory: Trajectory) -> FloatArray:
-        """Return the readings of all series, one after another, (n, q), without nuisances.
-
-        With derivatives follow the mean worn depths of ``clocks``, mm.
-        """
+        """Return the readings (n,) of all series, one after another, without nuisances."""
         time = trajectory.time
         key = time.tobytes()
         if key not in self._steps:
@@ -96,18 +88,8 @@ class Reader:
             self._steps[key] = {
                 name: TimeInterpolation(time, t, self._breaks) for name, t in at.items()
             }
-        interpolations = self._steps[key]
-        readings = [self._of(s, trajectory, interpolations[s.name]) for s in self._series]
-        if self._clocks and trajectory.approach.shape[-1] > 1:
-            depths = trajectory.volume[self._clocks, :, 0].T / self._area
-            readings = [
-                np.concatenate(
-                    [rows, np.broadcast_to(interpolations[s.name](depths), (s.n, depths.shape[1]))],
-                    axis=1,
-                )
-                for s, rows in zip(self._series, readings, strict=True)
-            ]
-        return np.concatenate(readings)
+        steps = self._steps[key]
+        return np.concatenate([self._of(s, trajectory, steps[s.name]) for s in self._series])
 
     def _of(
         self, series: Series, trajectory: Trajectory, in_steps: TimeInterpolation
@@ -135,10 +117,8 @@ def _radial(series: Series, case: Case) -> FloatArray:
     return weights
 
 
-def growth(
-    nuisance: Nuisance, case: Case, t: FloatArray, time: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the share of its growth that a warm rig has at t (n,) s, and its derivative by time.
+def growth(nuisance: Nuisance, case: Case, t: FloatArray, time: float) -> FloatArray:
+    """Return the share of its growth that a warm rig has at t (n,) s.
 
     It is cold at first, and follows its heat by time g' = heat - g (s): each change of the heat
     makes a growth of its own. The heat is 1, or goes with the friction power where the nuisance has
@@ -149,36 +129,29 @@ def growth(
         starts, heat = friction_power(case)
         heat = heat / heat.max()
     slopes = np.append(np.diff(heat) / np.diff(starts), 0.0)
-    # what is missing of the growth at the start of each part, and its derivative
-    missing, by_time = np.empty((2, len(starts)))
-    missing[0], by_time[0] = heat[0] - slopes[0] * time, -slopes[0]
+    # what is missing of the growth at the start of each part
+    missing = np.empty(len(starts))
+    missing[0] = heat[0] - slopes[0] * time
     for i, length in enumerate(np.diff(starts).tolist(), start=1):
-        rest = np.exp(-length / time)
-        bend = slopes[i] - slopes[i - 1]
-        by_time[i] = (by_time[i - 1] + missing[i - 1] * length / time**2) * rest - bend
-        missing[i] = missing[i - 1] * rest - bend * time
+        missing[i] = missing[i - 1] * np.exp(-length / time) - (slopes[i] - slopes[i - 1]) * time
     part = np.maximum(np.searchsorted(starts, t, side="right") - 1, 0)
-    since, slope, missing = t - starts[part], slopes[part], missing[part]
-    rest = np.exp(-since / time)
-    grown = heat[part] + slope * (since - time) - missing * rest
-    return grown, -slope - (by_time[part] + missing * since / time**2) * rest
+    since = t - starts[part]
+    grown: FloatArray = (
+        heat[part] + slopes[part] * (since - time) - missing[part] * np.exp(-since / time)
+    )
+    return grown
 
 
-def nuisance_columns(
-    series: Series, case: Case, values: Sequence[float] | FloatArray | None = None
-) -> FloatArray:
-    """Return (n, nuisances) what each nuisance of a series adds to its readings, by its unit.
+def nuisance_columns(series: Series, case: Case, growth_time: float | None = None) -> FloatArray:
+    """Return (n, nuisances) what each linear nuisance of a series adds to its readings, by its unit.
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with its change since the start); the tilt
     with the distance in mm from the middle of the contact. Thermal growth comes near to 1 after
-    some time constants, with respect to which its column is the derivative at the values
-    (nuisances,), or as these are expected; with ``power`` it follows the friction power, over its
-    largest.
+    some growth times (s); with ``power`` it follows the friction power, over its largest.
     """
     columns = []
-    values = [n.expected for n in series.nuisances] if values is None else values
-    for place, nuisance in enumerate(series.nuisances):
+    for nuisance in series.linear_nuisances:
         if nuisance.kind == "drift":
             column = series.x / case.time.end
         elif nuisance.kind == "compliance":
@@ -188,82 +161,57 @@ def nuisance_columns(
         elif nuisance.kind == "tilt":
             column = series.x - 0.5 * sum(case.contact)
         elif nuisance.kind == "thermal":
-            column = growth(nuisance, case, series.x, values[place + 1])[0]
-        elif nuisance.kind == GROWTH_TIME:
-            column = values[place - 1] * growth(nuisance, case, series.x, values[place])[1]
+            assert growth_time is not None
+            column = growth(nuisance, case, series.x, growth_time)
         else:
             column = np.ones(series.n)
         columns.append(series.factor * column)
     return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
 
 
-def time_through(
-    case: Case, body: int, time: FloatArray, wear: FloatArray, keys: Sequence[str] = ()
-) -> FloatArray:
-    """Return when (s) the first layer of lower (0) or upper (1) is worn through anywhere, (q,).
+def time_through(case: Case, body: int, time: FloatArray, wear: FloatArray) -> float:
+    """Return when (s) the first layer of lower (0) or upper (1) is worn through anywhere.
 
-    From worn depths (s, n, q) mm, by the rate of the last step before it, or of the last one of
-    all; with derivatives by the keys; NaN of a body without layers.
+    From worn depths (s, n) mm, by the rate of the last step before it, or of the last one of all;
+    NaN of a body without layers.
     """
     if not case.rings[body].layers:
-        return np.full(wear.shape[-1], np.nan)
-    end = np.zeros(wear.shape[1:])
-    end[:, 0] = case.layer_ends(body)[0]
-    end[:, 1:] = [float(key == f"{BODIES[body]}.layers[0].thickness") for key in keys]
-    places = np.arange(len(end))
-    steps = np.maximum((wear[..., 0] < end[:, 0]).sum(axis=0) - 1, 1)
+        return np.nan
+    end, places = case.layer_ends(body)[0], np.arange(wear.shape[1])
+    steps = np.maximum((wear < end).sum(axis=0) - 1, 1)
     last, before = wear[steps, places], wear[steps - 1, places]
-    rate = (last - before) / (time[steps] - time[steps - 1])[:, None]
-    wearing = np.flatnonzero(rate[:, 0] > 0.0)
-    if not len(wearing):
-        return np.array([_NEVER * time[-1], *[0.0] * len(keys)])
-    lasts = (end - last)[:, 0] / np.where(rate[:, 0] > 0.0, rate[:, 0], 1.0)
-    first = wearing[np.argmin((time[steps] + lasts)[wearing])]
-    through = (end - last)[first] / rate[first, 0]
-    through[1:] -= lasts[first] * rate[first, 1:] / rate[first, 0]
-    through[0] += time[steps[first]]
-    return through
+    rate = (last - before) / (time[steps] - time[steps - 1])
+    wearing = rate > 0.0
+    if not wearing.any():
+        return float(_NEVER * time[-1])
+    return float((time[steps] + (end - last) / np.where(wearing, rate, 1.0))[wearing].min())
 
 
-def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
-    """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s, q).
+def lost_mass(case: Case, body: int, wear: FloatArray) -> FloatArray:
+    """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s,).
 
-    By worn depths (s, n, q) mm, with derivatives by the keys. NaN where a density is not known, and
-    of a body without layers, whose volume tells it.
+    By worn depths (s, n) mm. NaN where a density is not known, and of a body without layers, whose
+    volume tells it.
     """
     ring = case.rings[body]
     if not ring.layers or None in ring.densities:
-        return np.full((len(wear), wear.shape[-1]), np.nan)
+        return np.full(len(wear), np.nan)
     densities = np.array(ring.densities, dtype=float)
     depth = densities[-1] * wear  # of mass
-    names = [f"{BODIES[body]}.layers[{i}].thickness" for i in range(len(ring.layers))]
-    for i, (end, more) in enumerate(
-        zip(case.layer_ends(body), densities[:-1] - densities[1:], strict=True)
-    ):
-        ends = np.zeros((len(end), wear.shape[-1]))
-        ends[:, 0] = end
-        ends[:, 1:] = [float(key in names[: i + 1]) for key in keys]
-        depth = depth + more * np.where(wear[..., :1] < end[:, None], wear, ends)
-    return np.einsum("e,seq->sq", case.line.area, depth)
+    more = densities[:-1] - densities[1:]
+    for end, density in zip(case.layer_ends(body), more, strict=True):
+        depth = depth + density * np.minimum(wear, end)
+    return depth @ case.line.area
 
 
-def trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
-    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
-
-    def both(name: str, values: FloatArray) -> FloatArray:
-        if not result.derivatives:
-            return values[..., None]
-        slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
-        return np.concatenate([values[..., None], slopes], axis=-1)
-
-    histories, profiles = result.histories, result.profiles
-    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in BODIES])
+def trajectory(result: Result, case: Case) -> Trajectory:
+    """Return what is read of a history."""
+    histories = result.histories
+    time = histories["time"]
+    wear = np.stack([result.profiles[f"wear_{body}"] for body in BODIES])
     return Trajectory(
-        histories["time"],
-        both("approach", histories["approach"]),
-        both("torque", histories["torque"]),
-        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
-        wear,
-        np.stack([lost_mass(case, i, body_wear, keys) for i, body_wear in enumerate(wear)]),
-        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
-    )
+        time, histories["approach"], histories["torque"],
+        np.stack([histories[f"worn_volume_{body}"] for body in BODIES]), wear,
+        np.stack([lost_mass(case, i, depths) for i, depths in enumerate(wear)]),
+        np.array([time_through(case, i, time, depths) for i, depths in enumerate(wear)]),
+    )  # fmt: skip

@@ -1,0 +1,359 @@
+"""Readings of tests at many values of the fitted keys, in blocks that all ranks share.
+
+A block is a list of (test, unknowns); each entry costs a history, of steps that are frozen, so that
+readings depend smoothly on the keys. What decides which histories are wanted runs on the first rank
+alone, so that ranks cannot part ways; the others serve it until it is done.
+"""
+
+import itertools
+import math
+import pickle
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.errors import ComputationError, InputError, reason_of
+from ringwear_par.history.derivatives.keys import is_elastic
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.identification.definition.problem import Experiment, Problem
+from ringwear_par.identification.readings import Reader, trajectory
+from ringwear_par.parallel import as_ours, together
+from ringwear_par.results.execution.progress import Progress
+from ringwear_par.results.execution.stop_signals import StopSignals, name_of
+from ringwear_par.results.result import Result
+from ringwear_par.schedules import Table, in_time
+from ringwear_par.studies.definition.variations import split_key
+from ringwear_par.studies.execution.batches import computed
+
+T = TypeVar("T")
+#: number of steps of a test with constant conditions
+STEPS = 40
+#: factor on the number of steps, equal ones, where layers may be worn through
+_EQUAL = 4
+#: share of the steps that a piece between two bends of schedules has at least; fewest steps of any
+#: piece
+_SHARE, _FEWEST = 0.3, 3
+#: number of pieces above which each short one has one step
+_MANY = 100
+#: shares of the test: its first step, half of one after a bend; a piece that is short
+_FIRST, _SHORT = 2e-4, 1e-2
+#: share of the test below which the distance of two times counts as none
+_CLOSE = 1e-7
+#: share of its bounds by which a key is moved for a derivative
+_DIFFERENCE = 1e-4
+
+
+class HistoryError(ComputationError):
+    """There is no history at some values of the fitted keys: no case, or its computation fails."""
+
+
+class StoppedError(ComputationError):
+    """A fit that a signal asked to stop."""
+
+
+class Readings:
+    """What instruments read of the tests of a problem at any unknowns of its keys.
+
+    Making one is collective on comm, and raises ComputationError where the assembly fails. The
+    first rank asks, within ``lead``; ``problem`` may be replaced there by one with other inputs or
+    series, of the same tests.
+    """
+
+    def __init__(self, problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> None:
+        self.problem = self._served = problem
+        self._comm, self._signals = comm, signals
+        self._progress: Progress | None = None
+        #: number of steps, see ``step_times``
+        self.steps = STEPS
+        #: histories computed, those that failed, and why the first one did
+        self.count, self.failed, self.reason = 0, 0, ""
+        #: of tests whose values have operators of their own there is none
+        self._pairs: dict[Hashable, ContactPair] = {}
+        with together(comm):
+            for test in problem.experiments:
+                key = operator_key(test.case)
+                if not is_elastic(test.case, problem.keys) and key not in self._pairs:
+                    self._pairs[key] = assemble(test.case, comm)
+
+    @property
+    def same_as(self) -> list[int]:
+        """The first test of the same conditions and readings, of each test: they share histories."""
+        tests = self.problem.experiments
+        return [next(j for j in range(i + 1) if _alike(tests[j], tests[i])) for i in range(len(tests))]
+
+    def lead(self, job: Callable[[], T]) -> T:
+        """Return the result of a job of the first rank, whose blocks all ranks compute.
+
+        Collective. Raises StoppedError by a signal, and what the job or any rank raises.
+        """
+        comm, content = self._comm, b""
+        with together(comm):
+            if comm.rank == 0:
+                try:
+                    with closing(Progress(pause=0.0)) as self._progress:
+                        content = pickle.dumps(job(), pickle.HIGHEST_PROTOCOL)
+                finally:
+                    self._progress = None
+                    comm.bcast(None)
+            else:
+                while (request := comm.bcast(None)) is not None:
+                    self._share(request)
+        with together(comm):
+            answer: T = pickle.loads(comm.bcast(content))
+        return answer
+
+    def tell(self, state: str) -> None:
+        """Tell the user, now and then, what the job is at. On the first rank."""
+        if self._progress is not None:
+            self._progress.show(self.count, "%s, %d histories", state, self.count)
+
+    def __call__(
+        self,
+        wanted: Sequence[tuple[int, FloatArray]],
+        *,
+        steps: int | None = None,
+        factors: tuple[float, float] = (1.0, 1.0),
+    ) -> list[FloatArray]:
+        """Return readings (P, n) of each test at unknowns (P, m), NaN where there is no history.
+
+        On the first rank, within ``lead``.
+
+        Parameters
+        ----------
+        wanted : number of the test, and unknowns.
+        steps : instead of the usual number.
+        factors : on all rates of wear of lower and upper.
+        """
+        problem, same_as = self.problem, self.same_as
+        at = [
+            (same_as[test], tuple(problem.values(x).tolist())) for test, points in wanted for x in points
+        ]
+        # equal bodies together, whose operator is then assembled once
+        entries = sorted(dict.fromkeys(at), key=lambda entry: (entry[1], entry[0]))
+        changed = None if problem is self._served else problem.experiments
+        request = (changed, entries, steps or self.steps, factors)
+        if self._comm.size > 1:
+            self._comm.bcast(request)
+        self._served = problem
+        rows = [row for part in self._share(request) for row in part]
+        found = dict(zip(entries, rows, strict=True))
+        self.count += len(entries)
+        for row in rows:
+            if isinstance(row, HistoryError):
+                self.failed, self.reason = self.failed + 1, self.reason or reason_of(row)
+        out, keys = [], iter(at)
+        for test, points in wanted:
+            block = np.full((len(points), problem.experiments[test].n), np.nan)
+            for line in block:
+                row = found[next(keys)]
+                if not isinstance(row, HistoryError):
+                    line[:] = row
+            out.append(block)
+        return out
+
+    def _share(self, request: tuple[Any, ...]) -> list[list[FloatArray | HistoryError]]:
+        """Return the rows of all ranks on the first one, each of which computes a part. Collective.
+
+        Errors are raised on the first rank; the others go on to serve, as that ends the job.
+        """
+        experiments, entries, steps, factors = request
+        if experiments is not None:
+            self._served = replace(self._served, experiments=experiments)
+        comm, rows, error = self._comm, [], None
+        ends = np.linspace(0, len(entries), comm.size + 1).astype(int)
+        if not self._signals.received:
+            try:
+                mine = entries[ends[comm.rank] : ends[comm.rank + 1]]
+                rows = self._computed(self._served, mine, steps, factors) if mine else []
+            except Exception as failure:
+                if comm.size == 1:
+                    raise
+                error = as_ours(failure)
+        gathered = comm.gather((rows, self._signals.received, error))
+        if gathered is None:
+            return []
+        if received := max(number for _, number, _ in gathered):
+            raise StoppedError(f"stopped by {name_of(received)}")
+        for _, _, failed in gathered:
+            if failed is not None:
+                raise failed
+        return [part for part, _, _ in gathered]
+
+    def _computed(
+        self,
+        problem: Problem,
+        entries: Sequence[tuple[int, tuple[float, ...]]],
+        steps: int,
+        factors: tuple[float, float],
+    ) -> list[FloatArray | HistoryError]:
+        """Return the readings at each (test, values of the keys), by this rank alone."""
+        rows: dict[int, FloatArray | HistoryError] = {}
+        groups: dict[Hashable, list[tuple[int, Case]]] = defaultdict(list)
+        tests = {test: problem.experiments[test] for test, _ in entries}
+        readers = {test: Reader(experiment) for test, experiment in tests.items()}
+        for test, experiment in tests.items():
+            numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
+            points = np.array([entries[i][1] for i in numbers])
+            for i, case in zip(numbers, cases_at(experiment.case, problem.keys, points), strict=True):
+                if isinstance(case, HistoryError):
+                    rows[i] = case
+                else:
+                    groups[operator_key(case)].append((i, case))
+        grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
+        paces = {test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()}
+        for key, group in groups.items():
+            try:
+                pair = self._pairs.get(key) or assemble(group[0][1], MPI.COMM_SELF, use_kept=False)
+            except ComputationError as error:
+                rows.update({i: HistoryError(reason_of(error)) for i, _ in group})
+                continue
+            owners = [entries[i][0] for i, _ in group]
+            parts = computed(
+                [case for _, case in group], pair, results=True,
+                step_times=[grids[test].tolist() for test in owners],
+                paces=None if factors == (1.0, 1.0) else [paces[test] for test in owners],
+            )  # fmt: skip
+            for part in parts:
+                for place, result in zip(part.numbers, part.results(), strict=True):
+                    i, case = group[place]
+                    if isinstance(result, Result):
+                        rows[i] = readers[entries[i][0]].read(trajectory(result, case))
+                    else:
+                        rows[i] = HistoryError(reason_of(result))
+        return [rows[i] for i in range(len(entries))]
+
+    def jacobians(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return readings (n,) and their derivatives (n, m) of each test at unknowns (tests, m).
+
+        By central differences of one block of histories, forward or backward at a bound; NaN where
+        there is no history.
+        """
+        low, high = self.problem.unknown_bounds
+        step = _DIFFERENCE * (high - low)
+        points = [
+            np.vstack([at, np.minimum(at + np.diag(step), high), np.maximum(at - np.diag(step), low)])
+            for at in x
+        ]
+        blocks = self(list(enumerate(points)))
+        m = x.shape[1]
+        slopes = [
+            (y[1 : m + 1] - y[m + 1 :]).T
+            / (np.diag(at[1 : m + 1]) - np.diag(at[m + 1 :]))
+            for at, y in zip(points, blocks, strict=True)
+        ]
+        return [y[0] for y in blocks], slopes
+
+    def with_friction_at(self, unknowns: FloatArray) -> Problem:
+        """Return the problem, friction as its torques tell it at unknowns (tests, m).
+
+        By the radius at which friction acts in the histories there; HistoryError for none. By this
+        rank alone.
+        """
+        experiments = list(self.problem.experiments)
+        for number, test in enumerate(experiments):
+            if test.torque_input is None:
+                continue
+            values = self.problem.values(unknowns[number])[None]
+            (case,) = cases_at(test.case, self.problem.keys, values)
+            if isinstance(case, HistoryError):
+                raise case
+            pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
+            (part,) = computed([case], pair, results=True, step_times=[step_times(test).tolist()])
+            (result,) = part.results()
+            if not isinstance(result, Result):
+                raise HistoryError(reason_of(result))
+            self.count += 1
+            time, force, torque = (result.histories[n] for n in ("time", "force", "torque"))
+            pressed = force > 0.0
+            at = time[pressed]
+            radius = torque[pressed] / (in_time(case.friction, at) * force[pressed])
+            experiments[number] = test.with_radius(Table(tuple(at.tolist()), tuple(radius.tolist())))
+        return self.problem.with_experiments(tuple(experiments))
+
+
+def _alike(a: Experiment, b: Experiment) -> bool:
+    """Tell whether two tests have the same readings at the same values of the keys."""
+    if a is b:
+        return True
+    if a.conditions != b.conditions or a.inputs or b.inputs or len(a.series) != len(b.series):
+        return False
+    return all(
+        s.quantity == t.quantity and s.at == t.at and s.density == t.density and np.array_equal(s.x, t.x)
+        for s, t in zip(a.series, b.series, strict=True)
+    )
+
+
+def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
+    """Return the ends of steps of a test, s; about ``steps`` where its schedules have no bends.
+
+    After the start, and after every bend of a schedule, they grow geometrically: pressures change
+    quickly there. Profiles are read at ends of steps. Pieces between bends share the steps of a
+    test, but for a number that each needs. Where a body with layers wears, steps stay short to the
+    end: rates change at once as a layer is worn through, whenever that is.
+    """
+    case = experiment.case
+    end = case.time.end
+    cuts = list(itertools.pairwise((0.0, *case.breakpoints, end)))
+    long = sum(high - low > _SHORT * end for low, high in cuts)
+    layered = experiment.bends_within
+    pieces = []
+    for low, high in cuts:
+        length = high - low
+        if length > _SHORT * end:
+            proportional = round(steps * (0.4 / math.sqrt(long) + 0.6 * length / end))
+            count = max(_FEWEST, round(_SHARE * steps), proportional)
+            first = min((_FIRST if long == 1 else 2.0 * _FIRST) * end, length / count)
+            grown = np.geomspace(first, length, count)
+            pieces.append(low + (_limited(grown, _EQUAL * count) if layered else grown))
+        else:
+            count = max(_FEWEST, steps // 10) if len(cuts) <= _MANY else max(1, steps // STEPS)
+            pieces.append(np.linspace(low, high, 1 + count)[1:])
+    fixed = {*case.breakpoints, end, *(s.at for s in experiment.series if s.at is not None)}
+    times: list[float] = []
+    for time in sorted({*np.concatenate(pieces).tolist(), *fixed}):
+        if times and time - times[-1] <= _CLOSE * end:
+            times[-1] = time if time in fixed else times[-1]
+        else:
+            times.append(time)
+    times[-1] = end
+    return np.array(times)
+
+
+def _limited(grown: FloatArray, count: int) -> FloatArray:
+    """Return ends of growing steps until they are as long as ``count`` equal ones, then these."""
+    equal = np.linspace(0.0, grown[-1], 1 + count)[1:]
+    early = grown[np.diff(grown, prepend=0.0) < equal[0]]
+    return np.concatenate([early, equal[equal > early.max(initial=0.0)]])
+
+
+def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | HistoryError]:
+    """Return the cases (p,) at values (p, m) of keys, an error in place of each that is refused."""
+
+    def read(point: FloatArray) -> Case | HistoryError:
+        try:
+            return case.replace(dict(zip(keys, point.tolist(), strict=True)))
+        except InputError as error:
+            return HistoryError(reason_of(error))
+
+    if is_elastic(case, keys):
+        return [read(point) for point in points]
+    numbers: dict[Number, FloatArray] = {}
+    for key, column in zip(keys, points.T, strict=True):
+        path, entry = split_key(key)
+        assert not isinstance(entry, int)
+        numbers[path, entry] = column
+    lists = {number: values.tolist() for number, values in numbers.items()}
+    cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
+    for i in np.flatnonzero(needs_reading(case, numbers)):
+        cases[i] = read(points[i])
+    return cases
