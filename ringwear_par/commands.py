@@ -216,7 +216,7 @@ def parser() -> argparse.ArgumentParser:
         "ringwear design fit.toml -o out/plan --after out/fit", "solves")
     a.fit_file()
     a.path("--after", metavar="DIR", help="folder of a fit, whose measurements count as well")
-    a.add_argument("--criterion", choices=("D", "A", "eig"),
+    a.add_argument("--criterion", choices=("D", "A"),
                    help="criterion, instead of design.criterion of the fit file")
     a = command(
         "predict", "predict a case that was not tested, with an interval, from a fit",

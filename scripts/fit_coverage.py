@@ -62,7 +62,7 @@ def laboratory(
     }
     if scatter:
         parameters[K]["scatter"] = "fit"
-    fit = {"parameters": parameters, "starts": 1}
+    fit = {"parameters": parameters}
     return {"case": str(PAPER), "fit": fit, "experiment": experiments}
 
 

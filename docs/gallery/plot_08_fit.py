@@ -49,7 +49,6 @@ found = rw.fit(
                 "wear.lower.k": {"start": 3e-8, "bounds": [1e-9, 1e-5], "scale": "log"},
                 "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 200.0]},
             },
-            "starts": 2,
         },
         "experiment": experiments,
     }

@@ -8,7 +8,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.identification.definition.fit_file import read_complete
+from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.scatter import expected_sizes
 from ringwear_par.identification.estimation.misfit import Misfit
@@ -48,7 +48,7 @@ def fit(
     ComputationError : no start leads to an optimum.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    problem = on_first_rank(comm, lambda: read_complete(source))
+    problem = on_first_rank(comm, lambda: read_fit(source))
     return fit_problem(problem, comm, compare=compare)
 
 

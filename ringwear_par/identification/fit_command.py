@@ -10,7 +10,7 @@ from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.folders import FIT, check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification import fit_folder
-from ringwear_par.identification.definition.fit_file import read_complete, read_fit
+from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation.starts import StoredStarts
 from ringwear_par.identification.fit import expected_result, fit_problem
 from ringwear_par.identification.model.rounds import StoppedError
@@ -42,7 +42,7 @@ def run_fit(
         if comm.rank == 0:
             print(prediction(expected))
         return
-    problem = on_first_rank(comm, lambda: read_complete(source))
+    problem = on_first_rank(comm, lambda: read_fit(source))
     on_first_rank(comm, lambda: check_folder(folder, fit_folder.FILES, "fit"))
     if restart and on_first_rank(
         comm, lambda: fit_folder.complete(folder, problem, compare=compare)

@@ -130,8 +130,7 @@ class RunningTest:
         check_scatter(replace(whole, name=place, experiments=tests), faults)
         if faults:
             raise InputError(*faults)
-        settings = replace(whole.settings, intervals=("linear",))
-        return replace(whole, experiments=tests, settings=settings, alternatives={})
+        return replace(whole, experiments=tests, alternatives={})
 
     def read(self) -> Problem:
         """Return the problem of this test alone, with its readings so far, under all laws.

@@ -98,7 +98,7 @@ def fit_tables(folder, experiments, **fit):
     """Return a fit file as a dict."""
     return {
         "case": str(folder / "case.toml"),
-        "fit": {"parameters": dict(FITTED), "starts": 2, **fit},
+        "fit": {"parameters": dict(FITTED), **fit},
         "experiment": experiments,
     }
 

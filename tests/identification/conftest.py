@@ -23,4 +23,4 @@ def tables(laboratory):
 @pytest.fixture(scope="session")
 def good(tables):
     """Their fit file as a dict."""
-    return tables(starts=1)
+    return tables()

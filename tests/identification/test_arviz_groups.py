@@ -29,7 +29,7 @@ def fit(tmp_path_factory):
                       nuisance=nuisance)  # fmt: skip
         experiments.append(one_test(f"test {number}", (45.0, 80.0)[number % 2], data))
     (folder / "case.toml").write_text(CASE)
-    tables = fit_tables(folder, experiments, starts=1)
+    tables = fit_tables(folder, experiments)
     tables["fit"]["parameters"] = {KEY: {**tables["fit"]["parameters"][KEY], "scatter": "fit"}}
     tables["fit"]["process"] = {"wear.lower": {"share": 0.03}}
     return rw.fit(tables, MPI.COMM_SELF)

@@ -55,7 +55,7 @@ def fit_tables(folder, keys, starts):
     ]  # fmt: skip
     parameters = {key: START[key] for key in keys}
     return {"case": str(CASES / "coated.toml"), "experiment": experiments,
-            "fit": {"parameters": parameters, "starts": starts}}  # fmt: skip
+            "fit": {"parameters": parameters}}  # fmt: skip
 
 
 @pytest.fixture

@@ -40,8 +40,7 @@ def near(found, truth=TRUTH, most=3.0):
 def test_a_laboratory_found_the_law(comm):
     """Files of an independent model with noise, in the repository as a worked example."""
     problem = read_fit(SCRIPTS / "fit/fit.toml")
-    quick = replace(problem.settings, starts=1, intervals=("linear",))
-    found = fit_problem(replace(problem, settings=quick), comm, compare=False)
+    found = fit_problem(problem, comm, compare=False)
     assert near(found)
     assert not found.flagged
     assert [p.verdict for p in found.parameters] == ["identified"] * 2
@@ -49,7 +48,7 @@ def test_a_laboratory_found_the_law(comm):
 
 
 def test_likelihood_profiles_are_parabolas_where_much_is_known(tables, comm):
-    found = fit(tables(starts=1, intervals=["profile"], level=0.9), comm)
+    found = fit(tables(level=0.9), comm)
     assert set(found.profiles) == set(TRUTH)
     for one in found.parameters:
         low, high = one.interval
@@ -62,7 +61,7 @@ def test_likelihood_profiles_are_parabolas_where_much_is_known(tables, comm):
 
 def test_criteria_count_what_priors_object(tables, comm):
     """A prior that is far off costs what it costs the objective."""
-    given = tables(starts=1)
+    given = tables()
     known = expected_result(read_fit(given), comm)
     key = known.parameters[0].key
     prior = {"normal": [known.parameters[0].estimate * 3, known.parameters[0].estimate]}
@@ -75,7 +74,7 @@ def test_criteria_count_what_priors_object(tables, comm):
 
 
 def test_noise_is_fitted(tables, comm):
-    given = tables(starts=1)
+    given = tables()
     for experiment in given["experiment"]:
         experiment["data"][1]["sd"] = "fit"
     found = fit(given, comm)
@@ -95,7 +94,7 @@ def test_noise_is_fitted(tables, comm):
 
 
 def test_outliers_do_not_count(tables, comm, tmp_path):
-    given = tables(starts=1)
+    given = tables()
     for number, experiment in enumerate(given["experiment"]):
         data = experiment["data"][0]
         t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
@@ -119,7 +118,7 @@ def test_outliers_do_not_count(tables, comm, tmp_path):
 
 
 def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
-    given = tables(starts=1)
+    given = tables()
     given["fit"]["parameters"] = {
         **FITTED, "contact.friction": {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"},
     }  # fmt: skip
@@ -137,7 +136,7 @@ def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_residuals_that_trend_are_a_doubt(share, tables, comm, tmp_path):
     """A torque that settles, of which the model has a constant one only; and noise."""
-    given = tables(starts=1)
+    given = tables()
     friction = {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}
     given["fit"]["parameters"] = {**FITTED, "contact.friction": friction}
     t, noise = np.linspace(1.0, END, 100), np.random.default_rng(2).standard_normal(100)
@@ -158,7 +157,7 @@ def test_residuals_that_trend_are_a_doubt(share, tables, comm, tmp_path):
 
 
 def test_a_threshold_hides_behind_the_drift(tables, comm):
-    given = tables(starts=1)
+    given = tables()
     (one, _), given["experiment"] = given["experiment"], given["experiment"][:1]
     del one["data"][1]
     one["data"][0]["nuisance"]["drift"] = {}
@@ -170,7 +169,7 @@ def test_a_threshold_hides_behind_the_drift(tables, comm):
 
 def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
     """A coefficient and a threshold at one load: bounds of the one alone do not tell the other."""
-    given = tables(starts=1)
+    given = tables()
     (_, one), given["experiment"] = given["experiment"], given["experiment"][1:]
     del one["data"][1], one["data"][0]["nuisance"]
     one["data"][0]["sd"] = 0.4
@@ -189,7 +188,7 @@ def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
 def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
     truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 0.0}
     written = write_tests(tmp_path, truth=truth)  # whose noise leads below 0
-    found = fit(fit_tables(tmp_path, written, intervals=["profile"], starts=1), comm)
+    found = fit(fit_tables(tmp_path, written), comm)
     threshold = found.parameters[1]
     assert threshold.verdict == "at bound"
     assert threshold.estimate == 0.0
@@ -225,7 +224,7 @@ def test_both_bodies_wear_and_records_have_gaps(comm, tmp_path):
 
 
 def test_another_law_does_not_fit(tables, comm):
-    given = tables(starts=1)
+    given = tables()
     given["compare"] = {
         "archard": {
             "set": {"wear.lower.law": "archard"},
@@ -246,7 +245,7 @@ def test_another_law_does_not_fit(tables, comm):
 
 def test_outliers_are_named(tables, comm, tmp_path):
     """A weighing in another unit, and one point of a profile at the edge."""
-    given = tables(starts=1)
+    given = tables()
     _, face = given["experiment"][0]["data"]
     r, depth = np.genfromtxt(face["file"], delimiter=",", skip_header=1).T
     depth[39] += 40.0
@@ -276,7 +275,7 @@ def test_a_law_of_ones_own_is_found(comm, tmp_path):
         for key, value in start.items()
     }
     tables = {
-        "case": str(path), "fit": {"parameters": keys, "starts": 1}, "experiment": experiments,
+        "case": str(path), "fit": {"parameters": keys}, "experiment": experiments,
     }  # fmt: skip
     found = fit(tables, comm)
     assert near(found, truth)
@@ -302,7 +301,7 @@ def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
         for key, k in truth.items()
     }
     tables = {
-        "case": case, "fit": {"parameters": keys, "starts": 1},
+        "case": case, "fit": {"parameters": keys},
         "experiment": [{"name": "A", "data": [data]}],
     }  # fmt: skip
     found = fit(tables, comm)
@@ -324,9 +323,7 @@ def test_trials_that_a_law_does_not_allow_end_no_fit(tmp_path, comm):
     sought = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
     known = {key: value for key, value in law.items() if key not in keys}
     test = one_test("A", 60.0, record(tmp_path / "z.csv", t, z), **known)
-    given = fit_tables(
-        tmp_path, [test], parameters=dict.fromkeys(keys, sought), intervals=["profile"]
-    )
+    given = fit_tables(tmp_path, [test], parameters=dict.fromkeys(keys, sought))
     found = fit(given, comm)
     k, k_start = found.parameters
     assert near(found, dict.fromkeys(keys, 1e-7))

@@ -43,7 +43,7 @@ def test_a_dry_run_says_what_is_not_installed(tables, write, comm, capsys, monke
 
 
 def test_what_is_written(tables, write, capsys):
-    path, folder = write(tables(starts=1))
+    path, folder = write(tables())
     assert main(["fit", str(path), "-o", str(folder)]) == 0
     assert "wear.lower.p0" in capsys.readouterr().out
     assert sorted(p.name for p in folder.iterdir()) == [
@@ -92,14 +92,14 @@ def check_exported(folder, stored, chi2):
 
 def test_a_fit_can_be_pickled(tables, write):
     """As between processes: there is no engine in it."""
-    found = rw.fit(write(tables(starts=1))[0])
+    found = rw.fit(write(tables())[0])
     assert "wear.lower.k" in repr(found)
     assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
 
 
 def test_a_reading_that_no_key_changes_is_refused_and_nothing_written(tables, write, capsys):
     mass = {"quantity": "mass.upper", "value": 0, "unit": "g", "density": 0.0078, "sd": 1}
-    given = tables(starts=1)
+    given = tables()
     given["experiment"][0]["data"].append(mass)
     path, folder = write(given)
     before = sorted(path.parent.iterdir())

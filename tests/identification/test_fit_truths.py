@@ -67,7 +67,7 @@ def laboratory(tmp_path_factory):
                          "columns": {name: place, "value": unit},
                          **({"at": END} if is_profile else {})})  # fmt: skip
         test = {"name": "test", "set": {"time.end": END}, "data": data}
-        settings = {"parameters": keys, "starts": 1, "intervals": ["linear"], **settings}
+        settings = {"parameters": keys, **settings}
         tables = {"case": str(folder / "case.toml"), "fit": settings, "experiment": [test]}
         return rw.fit(tables, MPI.COMM_SELF), read
 

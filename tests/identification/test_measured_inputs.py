@@ -40,7 +40,7 @@ def write_measured(folder, truth, pressures):
         experiment["input"] = [{**INPUT, "file": str(folder / f"m{number}.csv"), "smooth": "none"}]
         experiment["set"]["wear.lower.p0"] = truth["wear.lower.p0"]
         experiment["data"][0]["nuisance"]["drift"] = {}
-    tables = fit_tables(folder, experiments, starts=1)
+    tables = fit_tables(folder, experiments)
     tables["fit"]["parameters"] = {K: FITTED[K]}
     return tables
 

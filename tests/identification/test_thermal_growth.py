@@ -65,7 +65,7 @@ def warm(records, tmp_path_factory):
             more = {"load.omega": OMEGA, "time.end": END}
             experiments.append(one_test(name, pressure, data, **more))
         (tmp_path / "case.toml").write_text(CASE)
-        return copy.deepcopy(fit_tables(tmp_path, experiments, **{"starts": 1, **fit}))
+        return copy.deepcopy(fit_tables(tmp_path, experiments, **fit))
 
     return made
 
@@ -189,7 +189,7 @@ def test_growth_with_friction_power_is_recovered(tmp_path):
         tmp_path / "z.csv", t, z - 6e-3 * grown, nuisance={"offset": {}, "thermal": thermal}
     )
     more = {"load.omega": OMEGA, "time.end": END, "wear.lower.p0": TRUTH["wear.lower.p0"]}
-    tables = fit_tables(tmp_path, [one_test("a", loads, data, **more)], starts=1)
+    tables = fit_tables(tmp_path, [one_test("a", loads, data, **more)])
     del tables["fit"]["parameters"]["wear.lower.p0"]
     found = rw.fit(tables, MPI.COMM_SELF)
     assert found.p_value > 0.01

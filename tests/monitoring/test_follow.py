@@ -59,7 +59,7 @@ def laboratory(tmp_path_factory):
     (folder / "case.toml").write_text(CASE)
     factors = (0.8, 1.0, 1.1, 1.3, FACTOR)
     tests = [experiment(folder, n, factor, rng) for n, factor in enumerate(factors, start=1)]
-    tables = fit_tables(folder, tests, starts=1)
+    tables = fit_tables(folder, tests)
     key = {**tables["fit"]["parameters"][KEY], "scatter": "fit"}
     tables["fit"]["parameters"], tables["fit"]["units"] = {KEY: key}, {KEY: "mm3/(N m)"}
     law = {"wear.lower.law": "archard"}
@@ -287,7 +287,7 @@ def test_a_robust_loss_is_not_misled_by_outliers(laboratory, stored, tmp_path):
     (laboratory / "spoilt.csv").write_text("\n".join(lines) + "\n")
     text = (laboratory / "running.toml").read_text().replace("z5.csv", "spoilt.csv")
     for name in ("gaussian", "student"):
-        changed = text.replace('"starts" = 1', f'"starts" = 1, "loss" = "{name}"')
+        changed = text.replace('fit = { ', f'fit = {{ "loss" = "{name}", ')
         assert changed != text
         (laboratory / f"{name}.toml").write_text(changed)
     assert followed(laboratory, tmp_path / "gaussian", "gaussian")["alarm"] is not None

@@ -173,7 +173,7 @@ def test_a_sweep_goes_on_with_other_ranks(comm, mpi_tmp_path):
 def tables(mpi_tmp_path, comm):
     """Return the fit file of one test, as a dict."""
     tests = comm.bcast(write_tests(mpi_tmp_path, (60.0,)) if comm.rank == 0 else None)
-    found = fit_tables(mpi_tmp_path, tests, starts=1)
+    found = fit_tables(mpi_tmp_path, tests)
     del found["fit"]["parameters"]["wear.lower.p0"]
     found["experiment"][0]["set"]["wear.lower.p0"] = TRUTH["wear.lower.p0"]
     return found

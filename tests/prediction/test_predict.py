@@ -31,7 +31,7 @@ def found(tmp_path_factory):
         data = record(folder / f"z{number}.csv", t, z, nuisance={"offset": {}})
         experiments.append(one_test(f"test {number}", pressure, data))
     (folder / "case.toml").write_text(CASE)
-    tables = fit_tables(folder, experiments, starts=1)
+    tables = fit_tables(folder, experiments)
     tables["fit"]["parameters"] = json.loads(json.dumps(tables["fit"]["parameters"]))
     tables["fit"]["parameters"][K]["scatter"] = "fit"
     fit = rw.fit(tables, MPI.COMM_SELF)

@@ -47,7 +47,7 @@ def folder(tmp_path_factory):
         experiment["name"] += SCRIPT
     one = {"quantity": "mass.lower", "value": 2.0, "unit": "mg", "sd": 1.0, "density": 1.9e-3}
     experiments[0]["data"].append({**one, "at": 100.0})
-    tables = fit_tables(folder, experiments, starts=1, intervals=["linear"])
+    tables = fit_tables(folder, experiments)
     law = {"set": {"wear.lower.law": "archard"}}
     law["parameters"] = {"wear.lower.k": tables["fit"]["parameters"]["wear.lower.k"]}
     rw.fit({**tables, "compare": {"archard": law}}, compare=True).save(folder / "fit")

@@ -370,7 +370,6 @@ def check_censored(problem: Problem, faults: list[str]) -> None:
                 "must be absent with correlation_time": series.correlation_time > 0.0,
                 'needs sd as a number where all readings are: must not be "fit"':
                     series.sd_fitted and series.censored.all(),
-                'must be absent with intervals = ["posterior"]': "posterior" in settings.intervals,
             }  # fmt: skip
             place = f'{name}: experiment "{legible(experiment.name)}": {series.name}'
             faults += [

@@ -43,14 +43,6 @@ _ROW = re.compile(r'.*?: line \d+: experiment "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
 
-def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
-    """Read a fit file; InputError too for missing packages of its intervals. Not collective."""
-    problem = read_fit(source)
-    if missing := problem.settings.missing_package:
-        raise InputError(f"{problem.name}: {missing}")
-    return problem
-
-
 def read_fit(
     source: Path | str | Mapping[str, Any],
     *,
@@ -93,7 +85,7 @@ def read_fit(
         check_process(problem, faults)
         # faults that do not depend on the law are said once
         process = process if len(faults) == before else {}
-    settings = replace(settings, intervals=("linear",), process=process)
+    settings = replace(settings, process=process)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         changed = reader.changed(law, experiments, changes, law_parameters, faults)
@@ -171,12 +163,10 @@ def _read_settings(
     fitted = reader.raw("parameters")
     units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)
     parameters = read_parameters(f"{place}.parameters", fitted, faults, units, case_units)
-    names = ("starts", "method", "intervals", "samples", "level", "loss")
-    settings = {name: reader.read(name) for name in names}
+    level, loss = reader.read("level"), reader.read("loss")
     process = read_process(f"{place}.process", reader.raw("process", {}), faults)
     reader.finish()
-    intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
-    return Settings(intervals=tuple(intervals), process=process, **settings), parameters
+    return Settings(level, loss, process), parameters
 
 
 def _read_design_space(

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -24,9 +23,8 @@ BASE = {
     "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
     **{name: kind.unit for name, kind in READING_KINDS.items()},
 }  # fmt: skip
-Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
-Criterion = Literal["D", "A", "eig"]
+Criterion = Literal["D", "A"]
 
 
 class Prior(NamedTuple):
@@ -335,14 +333,6 @@ class Experiment:
 class Settings:
     """How to fit."""
 
-    #: how many; the first is that of the parameters
-    starts: int = 8
-    #: "brgn" of TAO, or "lm" of SciPy
-    method: Method = "brgn"
-    #: "linear" ones, and those of the likelihood "profile" or of the "posterior" as well
-    intervals: tuple[str, ...] = ("linear",)
-    #: of the posterior
-    samples: int = 4000
     #: of the intervals
     level: float = 0.95
     #: "gaussian", or "student" (with 4 degrees of freedom) where there are outliers
@@ -350,20 +340,12 @@ class Settings:
     #: of bodies whose wear is itself random, by "wear.lower", "wear.upper"
     process: Mapping[str, ProcessNoise] = field(default_factory=dict)
 
-    @property
-    def missing_package(self) -> str:
-        """A sentence about a package that intervals need and that is missing, else ""."""
-        if "posterior" not in self.intervals or find_spec("emcee") is not None:
-            return ""
-        return 'fit.intervals: "posterior" needs emcee: pip install emcee, or leave it out'
-
 
 @dataclass(frozen=True)
 class DesignSpace:
     """What ``[design]`` asks."""
 
-    #: "D", the determinant of the information; "A", the mean variance; "eig", the expected gain of
-    #: information
+    #: "D", the determinant of the information; "A", the mean variance
     criterion: Criterion = "D"
     #: lowest and highest value of each key that varies
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)

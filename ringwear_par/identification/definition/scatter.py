@@ -146,7 +146,6 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
                         f"{name}: scatter of {key}: {large} and {small} are the same groups; "
                         'only one of the two can be "fit"'
                     )
-    _refuse_intervals(problem, "scatter", faults)
 
 
 def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> bool:
@@ -230,17 +229,6 @@ def check_process(problem: Problem, faults: list[str]) -> None:
                     f"own noise (fit.process); must be at most {_LONGEST_CORRELATION:g} of the "
                     f"record, {length:g} s"
                 )
-    _refuse_intervals(problem, "process", faults)
-
-
-def _refuse_intervals(problem: Problem, part: str, faults: list[str]) -> None:
-    """Refuse intervals that are not known with a random part."""
-    intervals = list(problem.settings.intervals)
-    if set(intervals) - {"linear"}:
-        faults.append(
-            f"{problem.name}: fit.intervals = {intervals}: are not possible with {part}; must be "
-            '["linear"]'
-        )
 
 
 def known_sizes(problem: Problem, specimens: int) -> list[str]:

@@ -18,7 +18,6 @@ from ringwear_par.cases.values import (
     number,
     one_of,
     pair,
-    some_of,
     text,
     whole,
 )
@@ -27,7 +26,6 @@ from ringwear_par.identification.definition.problem import (
     Criterion,
     DesignSpace,
     Loss,
-    Method,
     Prior,
     Settings,
 )
@@ -41,7 +39,7 @@ INPUT_KEYS, FEWEST_READINGS = (
 DENSITIES = (1e-5, 0.03)
 #: most loads, and most profiles, of a next test
 COUNTS = {"load.steps": 4, "profiles": 4}
-_MOST_STARTS, _MOST_SAMPLES, _MOST_EXPERIMENTS, _MOST_READINGS = 10_000, 10_000_000, 6, 100_000
+_MOST_EXPERIMENTS, _MOST_READINGS = 6, 100_000
 
 
 def _instants() -> Values:
@@ -210,17 +208,6 @@ KEYS: tuple[Key, ...] = (
     Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
         "unit in which the key is reported beside the case's; default: the one in which its start "
         "is written, or else its number in the case", None),
-    Key("fit.starts", *whole(1, _MOST_STARTS), "-",
-        "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
-        "within the bounds", _USUAL.starts),
-    Key("fit.method", *one_of(*get_args(Method)), "-",
-        "optimiser: brgn is TAO's regularised Gauss-Newton, lm SciPy's least_squares",
-        _USUAL.method),
-    Key("fit.intervals", *some_of("linear", "profile", "posterior"), "-",
-        "kinds of intervals: by covariance (linear, always computed), by likelihood profiles, by "
-        "samples of the posterior (pip install emcee)", tuple(_USUAL.intervals)),
-    Key("fit.samples", *whole(1, _MOST_SAMPLES), "-",
-        "number of samples of the posterior", _USUAL.samples),
     Key("fit.level", *number(0.5, 1.0), "1", "confidence level of the intervals", _USUAL.level),
     Key("fit.loss", *one_of(*get_args(Loss)), "-",
         "distribution of the noise: gaussian, or student (4 degrees of freedom) against outliers",
@@ -364,8 +351,7 @@ KEYS: tuple[Key, ...] = (
         "fitted keys of the other law"),
     Key("design.criterion", *one_of(*get_args(Criterion)), "-",
         "criterion for the next tests: D, smallest volume of the confidence ellipsoid; A, smallest "
-        "mean variance, in widths of the bounds; eig, largest expected information gain (needs "
-        "priors or --after)", _SPACE.criterion),
+        "mean variance, in widths of the bounds", _SPACE.criterion),
     *(Key(f"design.vary.{name}", *_range_of(name), unit, meaning, None)
       for name, (unit, meaning) in _VARIED.items()),
     Key("design.budget.time.end", *number(0.0), "s", "total duration of the next tests", None),

@@ -15,9 +15,6 @@ case = "case.toml"
 [fit]
 parameters."wear.lower.k"  = { start = 1e-7, bounds = [1e-9, 1e-5], scale = "log" }
 parameters."wear.lower.p0" = { start = 0.0,  bounds = [0.0, 200.0] }
-starts = 8
-method = "brgn"
-intervals = ["linear", "profile"]
 level = 0.9
 loss = "student"
 [fit.parameters."contact.friction"]

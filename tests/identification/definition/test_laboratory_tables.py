@@ -32,7 +32,7 @@ def folder(laboratory):
 def in_table(folder, text=TABLE, **keys):
     """Return a fit file as a dict whose tests are in a table."""
     (folder / "tests.csv").write_text(text, encoding="utf-8")
-    tables = fit_tables(folder, [], starts=1)
+    tables = fit_tables(folder, [])
     del tables["experiment"]
     data = [{**RECORD, "file": f"{folder}/{{Schrieb}}"}]
     return tables | {"tests": {"file": str(folder / "tests.csv"), "data": data, **keys}}
@@ -58,7 +58,6 @@ def written_out(folder):
             ),
             experiment("B", "S2", 85.0, "z2.csv", {"value": "7.9 mg", "sd": "0.2 mg"}),
         ],
-        starts=1,
     )  # fmt: skip
 
 

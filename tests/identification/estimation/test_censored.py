@@ -58,7 +58,7 @@ def tables(tmp_path_factory):
         "columns": {"time": "t_s", "value": "z_um"},
     }  # fmt: skip
     known = {"wear.lower.p0": 25.0}
-    found = fit_tables(folder, [one_test("a", 80.0, record, **known)], starts=1)
+    found = fit_tables(folder, [one_test("a", 80.0, record, **known)])
     del found["fit"]["parameters"]["wear.lower.p0"]
     return found
 

@@ -14,7 +14,7 @@ from ringwear_par.identification.fit import fit, fit_problem
 
 def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeypatch):
     """From where a minimiser has stuck, half a standard deviation away."""
-    expected = fit(tables(starts=1, intervals=["profile"]), comm)
+    expected = fit(tables(intervals=["profile"]), comm)
     calls = []
 
     def stuck(misfit, x, *args, **kwargs):
@@ -27,7 +27,7 @@ def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeyp
         return replace(found, x=away, evaluation=misfit.evaluate(away))
 
     monkeypatch.setattr(solution, "minimise", stuck)
-    found = fit(tables(starts=1, intervals=["profile"]), comm)
+    found = fit(tables(intervals=["profile"]), comm)
     assert len(calls) == len(found.starts) == 2
     assert found.chi2 == pytest.approx(expected.chi2, rel=1e-9)
     for one, other in zip(found.parameters, expected.parameters, strict=True):
@@ -37,7 +37,7 @@ def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeyp
 
 def test_starts_are_where_readings_respond_to_all_parameters(tables, comm):
     """Of thresholds that mostly are above all pressures, from which nothing leads away."""
-    given = tables(starts=4)
+    given = tables()
     given["fit"]["parameters"] = {**FITTED, "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 1000]}}
     found = fit_problem(read_fit(given), comm)
     assert found.n_at_best == 4

@@ -33,7 +33,7 @@ def tables(tmp_path_factory):
     folder = tmp_path_factory.mktemp("random")
     (folder / "case.toml").write_text(CASE)
     experiments = write_experiments(folder)
-    return fit_tables(folder, experiments, process={BODY: "fit"}, starts=1)
+    return fit_tables(folder, experiments, process={BODY: "fit"})
 
 
 def write_experiments(folder):

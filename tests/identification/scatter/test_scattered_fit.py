@@ -53,7 +53,7 @@ def with_scatter(tables, scatter="fit", key=K):
 
 def few(tables):
     """Return a fit file of three of its specimens, from one start."""
-    return {**tables, "fit": {**tables["fit"], "starts": 1}, "experiment": tables["experiment"][:3]}
+    return {**tables, "fit": {**tables["fit"]}, "experiment": tables["experiment"][:3]}
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,6 @@ def test_a_posterior_that_bends_is_followed(tables, fit):
     at, known = np.array([14.0, 33.0]), []
     for value in at.tolist():
         one = with_scatter(tables)
-        one["fit"]["starts"] = 1
         del one["fit"]["parameters"][P0]
         for test in one["experiment"]:
             test["set"] = {**test["set"], P0: value}
@@ -141,7 +140,7 @@ def test_a_posterior_that_bends_is_followed(tables, fit):
 
 
 def test_tests_that_disagree_are_a_doubt(tables):
-    fit = rw.fit({**tables, "fit": {**tables["fit"], "starts": 1}}, MPI.COMM_SELF)
+    fit = rw.fit({**tables, "fit": {**tables["fit"]}}, MPI.COMM_SELF)
     (doubt,) = (d for d in fit.doubts if d.code == "tests-disagree" and d.keys == (K,))
     assert doubt.values["p"] < 1e-6
     assert 0.5 * SCATTER < doubt.values["scatter"] < 2.0 * SCATTER
@@ -152,7 +151,7 @@ def test_tests_that_disagree_are_a_doubt(tables):
 def test_repeats_that_agree(tmp_path):
 
     (tmp_path / "case.toml").write_text(CASE)
-    alike = fit_tables(tmp_path, write_specimens(tmp_path, np.ones(4)), starts=1)
+    alike = fit_tables(tmp_path, write_specimens(tmp_path, np.ones(4)))
     plain = rw.fit(alike, MPI.COMM_SELF)
     assert not [doubt for doubt in plain.doubts if doubt.code == "tests-disagree"]
     one = rw.fit(with_scatter(alike), MPI.COMM_SELF).to_dict()["parameters"][K]

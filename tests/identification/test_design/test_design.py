@@ -102,7 +102,7 @@ def test_exchange_finds_the_best_three(tables, comm):
 
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
     """Information of the fit and of the tests add up; draws are around its estimates."""
-    source = tables(starts=1)
+    source = tables()
     earlier = fit(source, comm, compare=False)
     folder = str(tmp_path)
     earlier.save(folder)
@@ -158,7 +158,7 @@ def test_instants_of_profiles_vary(tables, comm):
 
 def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
     """The file's is but a guess, of second differences."""
-    source = tables(starts=1)
+    source = tables()
     for experiment in source["experiment"]:
         experiment["data"][0]["sd"] = "fit"
     folder = str(tmp_path)
