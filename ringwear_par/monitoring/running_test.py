@@ -6,20 +6,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in
 from ringwear_par.files.table_text import decode
 from ringwear_par.files.text import parse_toml, read_text
+from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.scatter import check_scatter
 
-#: blocks of equal time of a test, in which the readings of a record are averaged
-BLOCKS = 500
 #: why nothing can be followed
 NOT_KNOWN = (
     "has neither scatter nor random wear, and a sensor's intervals would stop tests too early: "
@@ -183,29 +180,3 @@ def _faults(series: Series) -> list[str]:
     }
     faults = [f"{series.file or name}: {a}; its unit must be given" for a in series.assumptions]
     return faults + [rule for rule, broken in rules.items() if broken]
-
-
-def averaged(series: Series, end: float) -> Series:
-    """Return a long record averaged in blocks of equal time; one of correlated noise is thinned.
-
-    Parameters
-    ----------
-    end : s, of the test.
-    """
-    if (
-        series.n <= 1
-        or (number := np.unique(series.x // (end / BLOCKS), return_index=True)[1]).size == series.n
-    ):
-        return series
-    counts = np.diff(np.append(number, series.n))
-    if series.correlation_time:
-        return series.part(number + counts - 1)
-    weights = series.sd**-2
-    total = np.add.reduceat(weights, number)
-    single = counts == 1  # to the last bit, so that a record that grows stays what it was
-    x, value = (
-        np.where(single, column[number], np.add.reduceat(weights * column, number) / total)
-        for column in (series.x, series.value)
-    )
-    sd = np.where(single, series.sd[number], total**-0.5)
-    return replace(series, x=x, value=value, sd=sd, lines=None)

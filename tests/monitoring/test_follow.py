@@ -13,7 +13,6 @@ from mpi4py import MPI
 from parts import (
     ProcessNoise,
     Rounds,
-    Series,
     StopSignals,
     fit_knowledge,
     log_densities,
@@ -29,7 +28,7 @@ from ringwear_par.monitoring.histories import planned
 from ringwear_par.monitoring.outlook import time_to
 from ringwear_par.monitoring.prior_knowledge import followed_test
 from ringwear_par.monitoring.running_state import RunningTestState, Targets
-from ringwear_par.monitoring.running_test import BLOCKS, RunningTest, averaged
+from ringwear_par.monitoring.running_test import RunningTest
 
 pytestmark = pytest.mark.slow
 
@@ -287,7 +286,7 @@ def test_a_robust_loss_is_not_misled_by_outliers(laboratory, stored, tmp_path):
     (laboratory / "spoilt.csv").write_text("\n".join(lines) + "\n")
     text = (laboratory / "running.toml").read_text().replace("z5.csv", "spoilt.csv")
     for name in ("gaussian", "student"):
-        changed = text.replace('fit = { ', f'fit = {{ "loss" = "{name}", ')
+        changed = text.replace("fit = { ", f'fit = {{ "loss" = "{name}", ')
         assert changed != text
         (laboratory / f"{name}.toml").write_text(changed)
     assert followed(laboratory, tmp_path / "gaussian", "gaussian")["alarm"] is not None
@@ -299,24 +298,6 @@ def test_a_robust_loss_is_not_misled_by_outliers(laboratory, stored, tmp_path):
     ends = [*clean["interval"], clean["estimate"]]
     key = robust["keys"][KEY]
     assert [*key["interval"], key["estimate"]] == pytest.approx(ends, abs=0.6 * sd)
-
-
-def test_long_records_are_averaged():
-    x = np.arange(1.0, 5001.0) / 50.0
-    series = Series("z", "penetration", x, 2.0 * x, np.full(5000, 0.5))
-    short = averaged(series, 100.0)
-    assert short.n == pytest.approx(BLOCKS, abs=1)
-    assert short.value == pytest.approx(2.0 * short.x)
-    assert short.sd[3] == pytest.approx(0.5 / np.sqrt(10), rel=0.06)
-    assert averaged(short, 100.0).n == short.n
-    x = np.append(np.arange(1, 200) + 0.5, 199.51)  # the last block grows, all others stay
-    y = np.random.default_rng(0).standard_normal(200)
-    before, after = (
-        averaged(Series("z", "penetration", x[:n], y[:n], np.full(n, 0.3)), 500.0)
-        for n in (199, 200)
-    )
-    assert after.n == before.n
-    assert np.array_equal(after.value[:-1], before.value[:-1])
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import key_of
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import Fault, InputError
@@ -107,14 +108,29 @@ def _faults_of_bounds(place: str, parameter: FittedParameter, case: Case) -> lis
 def refuse_both(
     place: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
 ) -> None:
-    """Add a fault for each key that is both set and fitted."""
+    """Add a fault for each key that is both set and fitted.
+
+    A table that is set, as of layers or of a user's law, may lack the fitted number: its start
+    fills the case.
+    """
     loads = {"load.force", "load.pressure", "load.displacement"}
+    keys = _single_keys(changes)
     for parameter in parameters:
-        path = split_key(parameter.key)[0]
-        same = {parameter.key, path} | (loads if path in loads else set())
-        for key in same & changes.keys():
-            sentence = f"{key}: is set, and {parameter.key} is fitted; must be one or the other"
+        path, entry = split_key(parameter.key)
+        same = {parameter.key} if entry is not None else loads if path in loads else {path}
+        for key in sorted(same & keys):
+            sentence = (
+                f"{key}: is set, and {parameter.key} is fitted; must be one or the other, a fitted "
+                "key needs no value in the case"
+            )
             faults.append(Fault(f"{place}: {sentence}", key, "conflict"))
+
+
+def _single_keys(changes: Mapping[str, Any]) -> set[str]:
+    """Return the keys that are set, with each number of layers and of parameters of its own."""
+    keys = expanded(changes)
+    tables = {path: value for path, value in keys.items() if isinstance(value, Mapping)}
+    return keys.keys() | {f"{path}.{name}" for path, table in tables.items() for name in table}
 
 
 def _range(ends: tuple[float, float]) -> str:

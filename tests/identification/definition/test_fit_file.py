@@ -4,7 +4,8 @@ import copy
 
 import numpy as np
 import pytest
-from laboratory import CASE
+from laboratory import CASE, refused
+from paths import CASES
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import FittedParameter
@@ -131,3 +132,32 @@ def test_starts_and_plans_and_what_is_left_out_may_have_units(good):
     assert not ((read.x >= 28.4) & (read.x <= 28.6)).any()
     assert problem.design.ranges == {"load.pressure": (20.0, 100.0), "time.end": (10.0, 120.0)}
     assert problem.design.seconds == 300.0
+
+
+LAYER = {"thickness": 1.0, "young": 5e3, "poisson": 0.3, "wear": {"law": "archard"}}
+USER = {
+    "wear.upper.law": "user", "wear.upper.file": str(CASES / "user_law.py"),
+    "wear.upper.parameters": {"p1": 10.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "brought", "table"),
+    [
+        ("wear.upper.k", {"wear.upper.law": "archard"}, {"wear.upper.k": 1e-8}),
+        ("lower.layers[0].wear.k", {"lower.layers": [LAYER]}, {"lower.layers[0].wear.k": 1e-8}),
+        ("wear.upper.parameters.k", USER, {"wear.upper.parameters": {"k": 1e-8, "p1": 10.0}}),
+    ],
+)
+def test_a_law_that_set_brings_in_may_be_fitted(key, brought, table, good):
+    """Its number has no value in the case, which begins with the start."""
+    given = copy.deepcopy(good)
+    given["fit"]["parameters"][key] = {"start": 3e-8, "bounds": [1e-9, 1e-5], "scale": "log"}
+    for test in given["experiment"]:
+        test["set"] |= brought
+    for experiment in read_fit(given).experiments:
+        assert "3e-08" in experiment.case.text
+        assert experiment.case.replace({key: 5e-8}).text != experiment.case.text
+    given["experiment"][0]["set"] |= table
+    (fault,) = refused(given)
+    assert f"set: {key}: is set, and {key} is fitted" in fault
