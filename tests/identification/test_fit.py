@@ -1,7 +1,6 @@
 """Fits: the truth is found, and what the readings do not tell is said."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
