@@ -30,7 +30,7 @@ from ringwear_par.identification.definition.schema import PROCESS, SCATTER
 _LOG_SCALE = 0.3
 #: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
 _LARGEST = 3.0
-#: most sizes that one fit may estimate: with more its grid would be too coarse
+#: most sizes that one fit may estimate: readings of more tell little but their priors
 _MOST_FITTED = 3
 #: what the machine is set to is the same for all specimens
 _SETTINGS = ("load.",)
