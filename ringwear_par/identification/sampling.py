@@ -1,0 +1,146 @@
+"""Draws of a density by emcee, from draws of a nearby one; the integral of a density."""
+
+from collections.abc import Callable
+from typing import Any
+
+import emcee
+import numpy as np
+from scipy.stats import multivariate_t
+
+from ringwear_par.arrays import FloatArray
+
+#: walkers, at least so many for each dimension
+_WALKERS, _A_DIMENSION = 256, 4
+#: steps between two looks; between two states that are kept; most of all
+_STEPS, _THIN, _MOST_STEPS = 100, 5, 6000
+#: correlation times of a chain that is long enough
+_LONG = 20.0
+#: steps of a density that only leads to the next one
+_SHORT = 30
+#: share of the draws that must count for a density that is drawn from them
+_COUNT = 0.25
+#: most draws that are kept
+_KEPT = 20_000
+#: draws for an integral
+_EVIDENCE_DRAWS = 8192
+
+
+def draw(
+    log_p: Callable[[FloatArray, float], FloatArray],
+    draws: FloatArray,
+    old: FloatArray,
+    most: float,
+    random: np.random.Generator,
+    want: float = 0.0,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return draws (s, d) with the likelihood to a power, their log p, and their effective number.
+
+    They come from draws of another density in steps, after each of which a quarter still counts.
+
+    Parameters
+    ----------
+    log_p : of theta (s, d) and a power of the likelihood.
+    old : (s,) log density of the draws where they come from.
+    want : effective number that is wanted at the end; 0: they only lead to others.
+    """
+    power, effective = 0.0, 0.0
+    while power < most:
+        prior, full = log_p(draws, 0.0), log_p(draws, 1.0)
+        good = np.isfinite(full)
+        best, weights = (-1.0, 0.0), np.ones(len(draws))
+        for trial in most * 0.8 ** np.arange(100):
+            logs = np.full(len(draws), -np.inf)
+            logs[good] = (1.0 - trial) * prior[good] + trial * full[good] - old[good]
+            w = np.exp(logs - logs.max())
+            effective = float(w.sum() ** 2 / (w @ w))
+            if effective > best[0]:
+                best, weights = (effective, float(trial)), w
+            if effective > _COUNT * len(draws):
+                break
+        power = best[1]
+        walkers = max(_WALKERS, _A_DIMENSION * draws.shape[1])
+        chance = (weights + 1e-9 * good) / (weights + 1e-9 * good).sum()
+        # a start that is not drawn twice, as far as there are enough
+        start = draws[random.choice(len(draws), walkers, np.count_nonzero(chance) < walkers, chance)]
+        last = power >= most
+        draws, old, effective = sample(
+            lambda x, power=power: log_p(x, power), start, random, want if last else 0.0
+        )
+    return draws, old, effective
+
+
+def sample(
+    log_p: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    random: np.random.Generator,
+    want: float,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return draws (s, d) of a density, their log p, and how many independent ones they are worth.
+
+    By independent moves to anywhere about the start, differential evolution (ter Braak 2006) and
+    stretch moves (Goodman and Weare 2010). Walkers are side by side, one state after another.
+
+    Parameters
+    ----------
+    start : (walkers, d) draws of about this density.
+    want : effective number; 0: a few steps are enough.
+    """
+    walkers, d = start.shape
+    nearby = _about(start)
+
+    def anywhere(x: FloatArray, random: np.random.RandomState) -> tuple[FloatArray, FloatArray]:
+        new = nearby.rvs(len(x), random).reshape(x.shape)
+        return new, nearby.logpdf(x) - nearby.logpdf(new)
+
+    moves = [
+        (emcee.moves.MHMove(anywhere), 0.4), (emcee.moves.DEMove(), 0.45), (emcee.moves.StretchMove(), 0.15),
+    ]  # fmt: skip
+    sampler = emcee.EnsembleSampler(walkers, d, log_p, moves=moves, vectorize=True)
+    sampler.random_state = np.random.RandomState(int(random.integers(2**31))).get_state()
+    state = emcee.State(start)
+    while True:
+        steps = _STEPS if want else _SHORT
+        state = sampler.run_mcmc(state, steps, thin_by=1, skip_initial_state_check=True)
+        chain = sampler.get_chain()[_THIN - 1 :: _THIN]
+        time = correlation_time(chain)
+        first = min(int(2.0 * time), len(chain) // 2)
+        effective = (len(chain) - first) * walkers / max(time, 1.0)
+        done = len(chain) > _LONG * time and effective > want
+        if not want or done or sampler.iteration >= _MOST_STEPS:
+            break
+    logs = sampler.get_log_prob()[_THIN - 1 :: _THIN]
+    every = max(1, int(time / 4.0), (len(chain) - first) * walkers // _KEPT)
+    draws = chain[first::every].reshape(-1, d)
+    return draws, logs[first::every].reshape(-1), effective
+
+
+def correlation_time(chain: FloatArray) -> float:
+    """Return after how many states the walkers of a chain (states, walkers, d) have forgotten theirs.
+
+    The largest integrated autocorrelation time of all d (Sokal's window, as emcee has it).
+    """
+    n = len(chain)
+    f = np.fft.rfft(chain - chain.mean(axis=(0, 1)), 2 * n, axis=0)
+    by_lag = np.fft.irfft(np.square(np.abs(f)), axis=0)[:n].mean(axis=1)
+    times = 2.0 * np.cumsum(by_lag / np.maximum(by_lag[0], 1e-300), axis=0) - 1.0
+    beyond = np.arange(n)[:, None] > 5.0 * times
+    window = np.where(beyond.any(axis=0), beyond.argmax(axis=0), n - 1)
+    return float(times[window, np.arange(chain.shape[2])].max())
+
+
+def log_evidence(
+    log_p: Callable[[FloatArray], FloatArray], draws: FloatArray
+) -> tuple[float, float]:
+    """Return the log of the integral of a density and its error, from a t about its draws (s, d)."""
+    density = _about(draws)
+    points = density.rvs(_EVIDENCE_DRAWS, 0).reshape(_EVIDENCE_DRAWS, -1)
+    logs = log_p(points) - density.logpdf(points)
+    weights = np.exp(logs - logs.max())
+    error = weights.std() / weights.mean() / np.sqrt(len(weights))
+    return float(logs.max() + np.log(weights.mean())), float(error)
+
+
+def _about(draws: FloatArray) -> Any:
+    """Return a t distribution about draws (s, d)."""
+    covariance = np.cov(draws.T).reshape(draws.shape[1], -1)
+    return multivariate_t(draws.mean(axis=0), 1.2 * covariance, df=6, allow_singular=True)
