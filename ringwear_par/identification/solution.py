@@ -33,7 +33,7 @@ _GOOD = 0.005
 _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough, and that moves no key by more than
 #: 0.2 sd where steps are halved; share of draws at faces of boxes
-_RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.2, 2e-3
+_RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
 #: effective number of draws
 _WANTED = 4000.0
 #: largest error of log p by the power, in rms
