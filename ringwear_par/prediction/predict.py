@@ -212,9 +212,9 @@ def _step_ends(case: Case) -> list[float]:
 
     Fixed steps are those of the case.
     """
-    end, time = case.time.end, case.time
-    if not time.adaptive:
-        return [*(time.step * np.arange(1, time.steps)).tolist(), end]
+    end = case.time.end
+    if not case.time.adaptive:
+        return [*(case.time.step * np.arange(1, case.time.steps)).tolist(), end]
     ends = step_times(Experiment("", case, ()))
     even = end * np.arange(1, _EVEN) / _EVEN
     apart = np.abs(even[:, None] - ends).min(axis=1) > _NEAR * end / _EVEN

@@ -161,27 +161,23 @@ class Prediction(Outcome):
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return all variables with their values: histories over (draw, step), values over draw."""
-        draw, step = (
+        axes = [
             Variable(name, (name,), "1", f"number of the {name}", integer=True)
             for name in ("draw", "step")
-        )
-        histories = [
-            (replace(HISTORIES[name], dimensions=("draw", "step")), values)
-            for name, values in self.histories.items()
         ]
-        drawn = [
-            (Variable(key, ("draw",), unit, "value of the fitted key"), values)
-            for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True)
-        ]
-        noise = [
-            (Variable(f"process.wear.{body}", ("draw",), "mm", "size of the random wear"), sizes)
-            for body, sizes in zip(BODIES, self.sizes.T, strict=True)
-            if sizes.any()
-        ]
-        return [
-            (draw, np.arange(len(self.values))), (step, np.arange(len(self.time))),
-            (Variable("time", ("step",), "s", "time"), self.time), *histories, *drawn, *noise,
+        variables: list[tuple[Variable, Any]] = [
+            (axes[0], np.arange(len(self.values))), (axes[1], np.arange(len(self.time))),
+            (Variable("time", ("step",), "s", "time"), self.time),
         ]  # fmt: skip
+        for name, values in self.histories.items():
+            variables.append((replace(HISTORIES[name], dimensions=("draw", "step")), values))
+        for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True):
+            variables.append((Variable(key, ("draw",), unit, "value of the fitted key"), values))
+        for body, sizes in zip(BODIES, self.sizes.T, strict=True):
+            if sizes.any():
+                name, meaning = f"process.wear.{body}", "size of the random wear"
+                variables.append((Variable(name, ("draw",), "mm", meaning), sizes))
+        return variables
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all draws over (draw, step).
