@@ -1,6 +1,6 @@
 """``rw.predict`` and ``ringwear predict``: what a fit says of a case that was not tested."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -148,40 +148,33 @@ def _sources(draws: Draws, of: str, sizes: FloatArray) -> Iterator[str]:
 def _predicted(case: Case, drawn: Prediction, comm: MPI.Comm) -> Prediction:
     """Return a prediction with its histories. Collective on comm."""
     ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
-    failures: dict[int, Exception] = {}
+    errors: list[Exception] = []
     cases: dict[int, Case] = {}
     for draw, at_values in enumerate(cases_at(case, [*drawn.keys], drawn.values)):
         if isinstance(at_values, Case):
             cases[draw] = replace(at_values, output=output, stress=None)
         else:
-            failures[draw] = at_values
+            errors.append(at_values)
 
-    def compute(paces: Sequence[FloatArray] | None = None) -> dict[int, Result]:
-        left = [draw for draw in cases if draw not in failures]
-        outcomes = results_of([cases[d] for d in left], comm, step_times=ends, paces=paces)
-        results = {}
-        for draw, outcome in zip(left, outcomes, strict=True):
-            if isinstance(outcome, Result):
-                results[draw] = outcome
-            else:
-                failures[draw] = outcome.error
-        return results
+    def compute(draws: Collection[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
+        outcomes = results_of([cases[d] for d in draws], comm, step_times=ends, paces=paces)
+        errors.extend(outcome.error for outcome in outcomes if not isinstance(outcome, Result))
+        return {d: r for d, r in zip(draws, outcomes, strict=True) if isinstance(r, Result)}
 
-    results = compute()
+    results = compute(cases, None)
     if drawn.sizes.any() and results:
         volumes = np.stack(
             [[result.histories[f"worn_volume_{body}"][1:] for body in BODIES]
              for result in results.values()]
         )  # fmt: skip
         random = np.random.default_rng([drawn.seed, 1])
-        results = compute([*draw_paces(volumes / case.area, drawn.sizes[[*results]], random)])
+        paces = draw_paces(volumes / case.area, drawn.sizes[[*results]], random)
+        results = compute(results, [*paces])
     count, left = len(drawn.values), [*results]
-    if len(failures) > _MOST_FAILED * count:
-        raise ComputationError(
-            f"{len(failures)} of {count} draws have no history: {failures[min(failures)]}"
-        )
+    if len(errors) > _MOST_FAILED * count:
+        raise ComputationError(f"{len(errors)} of {count} draws have no history: {errors[0]}")
     return replace(
-        drawn, values=drawn.values[left], sizes=drawn.sizes[left], failed=len(failures),
+        drawn, values=drawn.values[left], sizes=drawn.sizes[left], failed=len(errors),
         time=results[left[0]].histories["time"],
         histories={q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
     )  # fmt: skip

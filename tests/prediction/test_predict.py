@@ -156,13 +156,12 @@ def test_what_is_refused(archard, threshold, tmp_path):
     fit = fit_of(draws_of(archard))
     broken = save_fit(tmp_path / "fit", fit)
     (broken / "fit.json").write_text("{}")
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "fit.json").write_text("{}")
+    old = save_fit(tmp_path / "old", fit)
+    (old / "draws.nc").unlink()
     without = fit_of(draws_of(threshold, p0=np.zeros(200)))
     for source, case, options, said in (
-        (tmp_path / "empty", archard, {}, "fit.json"), (tmp_path / "none", archard, {}, "folder"),
-        (tmp_path / "old", archard, {}, "draws.nc"), (broken, archard, {}, "damaged"),
+        (tmp_path, archard, {}, "fit.json"), (tmp_path / "none", archard, {}, "folder"),
+        (old, archard, {}, "draws.nc"), (broken, archard, {}, "damaged"),
         (fit, tmp_path / "no.toml", {}, "no.toml"), (fit, threshold, {}, 'must be "archard"'),
         (fit, archard, {"of": "S9"}, '"S1", "S2"'),
         (without, archard, {}, f'must be "threshold", of which the fit found {K}, {P0}'),
