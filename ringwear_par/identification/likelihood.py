@@ -2,9 +2,10 @@
 
 Nuisances (offsets, drifts, the amplitude of thermal growth) are linear and have normal or flat
 priors, noise is normal: both are integrated out by linear algebra. What is left is, by an emulator,
-a quadratic form in a few coordinates. The time of a thermal growth is summed over nodes; an sd that
-is to be fitted is integrated out (flat in its logarithm); the share of random wear, which readings
-of all series of a test feel together, is interpolated between nodes.
+a quadratic form in a few coordinates. The time of a thermal growth is summed over nodes, at each of
+which the growth takes one direction out of the form; an sd that is to be fitted is integrated out
+(flat in its logarithm); the share of random wear, which readings of all series of a test feel
+together, is interpolated between nodes.
 """
 
 import itertools
@@ -26,14 +27,16 @@ from ringwear_par.identification.noise import (
     student_weights,
     whitened,
 )
-from ringwear_par.identification.readings import nuisance_columns
+from ringwear_par.identification.readings import growth, nuisance_columns
 
 #: logarithms of the least and the largest share of random wear
 LOG_SHARES = np.log([1e-3, 1.0])
 #: nodes of each share by the number of bodies whose share is fitted
 _SHARE_NODES = {1: 24, 2: 10}
-#: nodes of a growth time, and sd of its prior within which they are
-_TIME_NODES, _PRIOR_SDS = 24, 4.5
+#: nodes of a growth time: of one alone, beside random wear or calibrations, and of each of several
+_TIME_NODES, _JOINT_NODES, _EACH_NODES = 128, 32, 12
+#: sd of the prior of a growth time within which they are
+_PRIOR_SDS = 4.5
 #: nodes whose log likelihood is less than the largest by more count nowhere
 _COUNTS = 15.0
 #: singular value of nuisances, over the largest, below which they are not distinct
@@ -80,40 +83,30 @@ class Setting:
 
 
 class Noise:
-    """Noise of some series at given growth times and shares of random wear.
+    """Noise of some series of a test at shares of random wear.
 
-    It makes rows (n, ...) of data less model white, and takes out what nuisances explain: the log
-    likelihood is ``log_constant`` - |rows|^2 / 2.
+    It makes rows (n, ...) of data less model white, and takes out what nuisances explain, but for
+    thermal growth: the log likelihood is ``log_constant`` - |rows|^2 / 2.
     """
 
     def __init__(
-        self,
-        test: Experiment,
-        numbers: Sequence[int],
-        setting: Setting,
-        times: Mapping[int, float],
-        shares: FloatArray,
+        self, test: Experiment, numbers: Sequence[int], setting: Setting, shares: FloatArray
     ) -> None:
         starts = np.cumsum([0, *(s.n for s in test.series)])
         self._series = [test.series[i] for i in numbers]
         #: (n,) of these readings among all of the test
         self.rows: IntArray = np.concatenate([np.arange(*starts[[i, i + 1]]) for i in numbers])
         self._sd, self._limit = setting.sd[self.rows], sides(test)[self.rows] != 0.0
-        blocks = [
-            nuisance_columns(s, test.case, times.get(i))
-            for i, s in zip(numbers, self._series, strict=True)
-        ]
         scales = setting.scales if len(numbers) == len(test.series) else ()
         #: (n, k) what a unit of each nuisance adds to the readings
-        self.columns = np.column_stack([block_diag(*blocks), *scales])
-        #: its nuisances, but for the calibrations of measured inputs, which follow them
+        self.columns = np.column_stack(
+            [block_diag(*(nuisance_columns(s, test.case) for s in self._series)), *scales]
+        )
+        #: these, but for the calibrations of measured inputs, which follow them
         self.nuisances: list[Nuisance] = [n for s in self._series for n in s.linear_nuisances]
-        count, known = self.columns.shape[1], np.ones(self.columns.shape[1])
-        self._means = np.zeros(count)
+        self._means, known = np.zeros(self.columns.shape[1]), np.ones(self.columns.shape[1])
         for j, nuisance in enumerate(self.nuisances):
-            known[j] = 0.0
-            if nuisance.prior is not None:
-                self._means[j], known[j] = nuisance.prior.mean, 1.0 / nuisance.prior.sd
+            self._means[j], known[j] = _prior(nuisance)
         priors = np.diag(known)[known > 0.0]
         self._factor = None
         if setting.clocks:
@@ -137,6 +130,7 @@ class Noise:
         given = np.concatenate([s.sd for s in self._series])
         volume = np.log(self._sd / given)[~self._limit].sum() + sum(map(log_volume, self._series))
         volume += np.log(values[kept]).sum() + np.log(size[acting]).sum()
+        volume -= np.log(known[known > 0.0]).sum()
         if self._factor is not None:
             volume += np.log(np.diag(self._factor)).sum()
         self.log_constant = -float(volume)
@@ -179,26 +173,104 @@ class Noise:
         return rows.T @ rows
 
 
+def _prior(nuisance: Nuisance) -> tuple[float, float]:
+    """Return the mean of a nuisance's prior and 1 over its sd; 0 and 0 where it is flat."""
+    if nuisance.prior is None:
+        return 0.0, 0.0
+    return nuisance.prior.mean, 1.0 / nuisance.prior.sd
+
+
+class Growth:
+    """Thermal growth of some series at nodes (K,) of their growth times, over white noise.
+
+    Its amplitudes (g,) are linear: at each node they take g directions out of the squares. One node
+    without directions where nothing grows.
+    """
+
+    def __init__(
+        self, test: Experiment, numbers: Sequence[int], setting: Setting, noise: Noise
+    ) -> None:
+        #: numbers of the series
+        self.series = [i for i in numbers if i in setting.times]
+        alone = _JOINT_NODES if setting.clocks or setting.scales else _TIME_NODES
+        at, weights = leggauss(alone if len(self.series) < 2 else _EACH_NODES)
+        means, known = np.zeros((2, len(self.series)))
+        starts = np.cumsum([0, *(test.series[i].n for i in numbers)])
+        nodes: list[list[tuple[float, float, FloatArray]]] = []
+        for place, i in enumerate(self.series):
+            series, (low, high) = test.series[i], np.log(setting.times[i])
+            amplitude = next(n for n in series.nuisances if n.kind == "thermal")
+            means[place], known[place] = _prior(amplitude)
+            times = np.exp(low + 0.5 * (at + 1.0) * (high - low))
+            logs = np.log(0.5 * (high - low) * weights * times)
+            if series.growth_time is not None and series.growth_time.prior is not None:
+                prior = series.growth_time.prior
+                logs = logs - 0.5 * ((times - prior.mean) / prior.sd) ** 2 - np.log(prior.sd)
+            rows = np.zeros((len(at), len(noise.rows)))
+            first = starts[list(numbers).index(i)]
+            for row, time in zip(rows, times.tolist(), strict=True):
+                grown = growth(amplitude, test.case, series.x, time)
+                row[first : first + series.n] = series.factor * grown
+            nodes.append(list(zip(times.tolist(), logs.tolist(), rows, strict=True)))
+        chosen = list(itertools.product(*nodes))
+        #: (K, g) s, growth times
+        self.times = np.array([[time for time, _, _ in node] for node in chosen])
+        #: (K, g, n) what an amplitude of 1 adds to the readings
+        shape = len(chosen), len(self.series), len(noise.rows)
+        self.columns = np.array([[rows for _, _, rows in node] for node in chosen]).reshape(shape)
+        white = noise(self.columns.reshape(-1, shape[2]).T).T
+        self._white = white.reshape(*shape[:2], white.shape[1])
+        gram = np.einsum("kgn,khn->kgh", self._white, self._white) + np.diag(known**2)
+        factor = np.linalg.cholesky(gram)
+        #: (K, g, g) whose square is the covariance of the amplitudes
+        self._root = np.linalg.inv(factor)
+        self._shift = known**2 * means
+        #: of the squares, by the means of priors
+        self.constant = float(np.square(known * means).sum())
+        logs = np.array([sum(log for _, log, _ in node) for node in chosen])
+        volume = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        #: (K,) what each node adds to the constant of the noise
+        self.log_constants = logs - volume + np.log(known[known > 0.0]).sum()
+        #: number of amplitudes that have no prior
+        self.free = int((known == 0.0).sum())
+
+    def directions(self, rows: FloatArray, data: FloatArray) -> FloatArray:
+        """Return (K, g, ...) whose squares are less in white rows (n', ...) of ``Noise``.
+
+        Parameters
+        ----------
+        data : (...) 1 where the rows are of data, 0 where of a mode.
+        """
+        along = np.tensordot(self._white, rows, axes=1)
+        along += np.multiply.outer(self._shift, data)
+        taken: FloatArray = np.einsum("kgh,kh...->kg...", self._root, along)
+        return taken
+
+    def squares(self, rows: FloatArray) -> FloatArray:
+        """Return the sums of squares (K, P) at each node of white rows (n', P) of data."""
+        taken = np.square(self.directions(rows, np.ones(rows.shape[1]))).sum(axis=1)
+        return np.square(rows).sum(axis=0) + self.constant - taken
+
+    def amplitudes(self, rows: FloatArray, node: int) -> tuple[FloatArray, FloatArray]:
+        """Return the best amplitudes (g, P) by white rows (n', P) of data at a node, and a root.
+
+        The root' root (g, g) is their covariance.
+        """
+        root = self._root[node]
+        return root.T @ self.directions(rows, np.ones(rows.shape[1]))[node], root
+
+
 def sides(test: Experiment) -> FloatArray:
     """Return (n,) -1 where the true value is at most the reading, 1 where at least, else 0."""
     parts = [np.zeros(s.n) if s.censored is None else s.censored for s in test.series]
     return np.concatenate(parts).astype(float)
 
 
-@dataclass(frozen=True, eq=False)
-class _Node:
-    """Noise of a part at growth times (s) of its series, by number, with the log of their weight."""
-
-    times: Mapping[int, float]
-    log_weight: float
-    noise: Noise
-
-
 class TestLikelihood:
     """log p(readings of a test | unknowns), by the readings of the model there.
 
-    Readings of several series are judged together, but for those with a growth time or an sd that
-    is fitted; random wear and the calibration of an input are felt by all.
+    Readings of several series are judged together, but for those that grow thermally or have an sd
+    that is fitted; random wear and the calibration of an input are felt by all.
 
     Parameters
     ----------
@@ -216,37 +288,27 @@ class TestLikelihood:
         joint = bool(setting.clocks or setting.scales)
         apart = [i for i in numbers if not joint and (i in setting.times or test.series[i].sd_fitted)]
         rest = tuple(i for i in numbers if i not in apart)
-        #: numbers of the series that are judged together, and their noise at each growth time
+        #: numbers of the series that are judged together
         self.parts = [*([rest] if rest else []), *((i,) for i in apart)]
-        self.nodes = [self.nodes_at(part, shares) for part in self.parts]
+        #: noise and thermal growth of each part
+        self.noises = [self.noise_at(part, shares) for part in self.parts]
 
-    def nodes_at(self, part: Sequence[int], shares: FloatArray) -> list[_Node]:
-        """Return the noise of a part at each growth time, at shares (bodies,)."""
-        growing = [i for i in part if i in self.setting.times]
-        every = []
-        for i in growing:
-            low, high = self.setting.times[i]
-            at, weights = leggauss(_TIME_NODES if len(growing) == 1 else _TIME_NODES // 2)
-            at, logs = low + 0.5 * (at + 1.0) * (high - low), np.log(0.5 * (high - low) * weights)
-            time = self.test.series[i].growth_time
-            if time is not None and time.prior is not None:
-                logs = logs - 0.5 * ((at - time.prior.mean) / time.prior.sd) ** 2
-            every.append(list(zip(at.tolist(), logs.tolist(), strict=True)))
-        nodes = []
-        for chosen in itertools.product(*every):
-            times = {i: time for i, (time, _) in zip(growing, chosen, strict=True)}
-            noise = Noise(self.test, part, self.setting, times, shares)
-            nodes.append(_Node(times, sum(log for _, log in chosen), noise))
-        return nodes
+    def noise_at(self, part: Sequence[int], shares: FloatArray) -> tuple[Noise, Growth]:
+        """Return noise and thermal growth of a part, at shares (bodies,) of random wear."""
+        noise = Noise(self.test, part, self.setting, shares)
+        return noise, Growth(self.test, part, self.setting, noise)
 
-    def log_p(self, part: Sequence[int], noise: Noise, squares: FloatArray) -> FloatArray:
-        """Return log p (...) of a part at sums of squares (...); the sd integrated where fitted."""
+    def log_p(self, part: Sequence[int], freedom: float, squares: FloatArray) -> FloatArray:
+        """Return log p (...) of a part at sums of squares (...), but for the constants of noise.
+
+        Where the sd is fitted it is integrated out.
+        """
         fitted = len(part) == 1 and self.test.series[part[0]].sd_fitted and not self.setting.clocks
         if not fitted:
-            return noise.log_constant - 0.5 * squares
-        half = 0.5 * max(noise.freedom, 1.0)
-        logs: FloatArray = half * np.log(np.maximum(0.5 * squares, 1e-300))
-        return noise.log_constant + gammaln(half) - logs
+            return -0.5 * squares
+        half = 0.5 * max(freedom, 1.0)
+        logs: FloatArray = gammaln(half) - half * np.log(np.maximum(0.5 * squares, 1e-300))
+        return logs
 
     def of_limits(self, readings: FloatArray) -> FloatArray:
         """Return log p (...) of the limits, by the model's readings (..., limits) there."""
@@ -255,17 +317,17 @@ class TestLikelihood:
         logs: FloatArray = log_ndtr(self._side[at] * t).sum(axis=-1)
         return logs
 
+    def _rows(self, noise: Noise, readings: FloatArray) -> FloatArray:
+        """Return data less readings (P, n) of the model, as a part has them, (n of the part, P)."""
+        return noise.data(self.data[noise.rows])[:, None] - readings.T[noise.rows]
+
     def by_node(self, readings: FloatArray) -> list[FloatArray]:
-        """Return log p (nodes, P) of each part by readings (P, n) of the model."""
+        """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
         every = []
-        for part, nodes in zip(self.parts, self.nodes, strict=True):
-            logs = []
-            for node in nodes:
-                noise = node.noise
-                rows = noise.data(self.data[noise.rows])[:, None] - readings.T[noise.rows]
-                squares = np.square(noise(rows)).sum(axis=0)
-                logs.append(node.log_weight + self.log_p(part, noise, squares))
-            every.append(np.array(logs))
+        for part, (noise, growth) in zip(self.parts, self.noises, strict=True):
+            squares = growth.squares(noise(self._rows(noise, readings)))
+            logs = self.log_p(part, noise.freedom - growth.free, squares)
+            every.append(noise.log_constant + growth.log_constants[:, None] + logs)
         return every
 
     def __call__(self, readings: FloatArray) -> FloatArray:
@@ -276,42 +338,57 @@ class TestLikelihood:
         return total
 
     def nuisance_draws(
-        self, readings: FloatArray, random: np.random.Generator
-    ) -> tuple[FloatArray, list[tuple[Noise, FloatArray]], dict[int, FloatArray]]:
-        """Return draws of all nuisances by readings (P, n) of the model, one each.
+        self, readings: FloatArray, random: np.random.Generator | None = None
+    ) -> tuple[FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
+        """Return nuisances by readings (P, n) of the model: a draw each, or without random the best.
 
-        What they add to the readings (P, n); noise and nuisances (P, k) of each part; and growth
-        times (P,) by the number of the series.
+        What they add to the readings (P, n); values (P,) by the series' number and kind, those of
+        the calibrations of inputs, in their sd, by -1 and their number; and growth times (P,) s.
         """
-        added, parts, times = np.zeros_like(readings), [], {}
-        for logs, nodes in zip(self.by_node(readings), self.nodes, strict=True):
-            chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
-            chosen = np.minimum((chance < random.random(len(readings))).sum(axis=0), len(nodes) - 1)
-            first = nodes[0].noise
-            values = np.empty((len(readings), first.columns.shape[1]))
-            for number in np.unique(chosen).tolist():
-                some, noise = chosen == number, nodes[number].noise
-                rest = noise.data(self.data[noise.rows])[:, None] - readings[some].T[noise.rows]
-                values[some] = noise.best_nuisances(rest).T + random.multivariate_normal(
-                    np.zeros(values.shape[1]), noise.covariance, int(some.sum()), method="eigh"
+        added, count = np.zeros_like(readings), len(readings)
+        values: dict[tuple[int, str], FloatArray] = {}
+        times: dict[int, FloatArray] = {}
+        for part, (noise, growth), logs in zip(
+            self.parts, self.noises, self.by_node(readings), strict=True
+        ):
+            if random is None:
+                nodes = logs.argmax(axis=0)
+            else:
+                chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
+                nodes = np.minimum((chance < random.random(count)).sum(axis=0), len(logs) - 1)
+            rows, amplitudes = self._rows(noise, readings), np.zeros((count, len(growth.series)))
+            white = noise(rows)
+            for node in np.unique(nodes).tolist():
+                some = nodes == node
+                best, root = growth.amplitudes(white[:, some], node)
+                if random is not None:
+                    best = best + root.T @ random.standard_normal(best.shape)
+                amplitudes[some] = best.T
+                rows[:, some] -= growth.columns[node].T @ best
+            linear = noise.best_nuisances(rows).T
+            if random is not None and linear.shape[1]:
+                zero = np.zeros(linear.shape[1])
+                linear = linear + random.multivariate_normal(
+                    zero, noise.covariance, count, method="eigh"
                 )
-                added[np.ix_(some, noise.rows)] = values[some] @ noise.columns.T
-            for i in nodes[0].times:
-                times[i] = np.array([node.times[i] for node in nodes])[chosen]
-            parts.append((first, values))
-        return added, parts, times
+            added[:, noise.rows] = linear @ noise.columns.T + np.einsum(
+                "pg,pgn->pn", amplitudes, growth.columns[nodes]
+            )
+            owners = [(i, n.kind) for i in part for n in self.test.series[i].linear_nuisances]
+            owners += [(-1, str(j)) for j in range(linear.shape[1] - len(owners))]
+            values.update(zip(owners, linear.T, strict=True))
+            for place, i in enumerate(growth.series):
+                values[i, "thermal"] = amplitudes[:, place]
+                times[i] = growth.times[nodes, place]
+        return added, values, times
 
     def adapted(self, readings: FloatArray, loss: str) -> Setting:
-        """Return the setting about readings (n,) of the model: sd, nuisances, growth times.
+        """Return the setting about readings (n,) of the model: sd and nuisances.
 
         An sd that is fitted becomes that of the residuals; weights of the loss "student" are in the
         sd; growth times stay.
         """
-        expected = np.zeros(len(self.data))
-        for logs, nodes in zip(self.by_node(readings[None]), self.nodes, strict=True):
-            noise = nodes[int(np.argmax(logs[:, 0]))].noise
-            rest = noise.data(self.data[noise.rows]) - readings[noise.rows]
-            expected[noise.rows] = noise.columns @ noise.best_nuisances(rest)
+        expected = self.nuisance_draws(readings[None])[0][0]
         sd, start = np.concatenate([series.sd for series in self.test.series]), 0
         for series in self.test.series:
             rows = np.arange(start, start + series.n)[self._side[start : start + series.n] == 0.0]
@@ -326,6 +403,22 @@ class TestLikelihood:
             if loss == "student":
                 sd[rows] /= np.sqrt(student_weights(rest))
         return replace(self.setting, sd=sd, expected=expected)
+
+    def with_times_that_count(self, readings: FloatArray) -> Setting:
+        """Return the setting with growth times (s) that matter at some of the readings (P, n)."""
+        times = dict(self.setting.times)
+        for (_, growth), logs in zip(self.noises, self.by_node(readings), strict=True):
+            counts = (logs - logs.max(axis=0)).max(axis=1) > -_COUNTS
+            for place, i in enumerate(growth.series):
+                every = np.unique(growth.times[:, place])
+                kept = growth.times[counts, place]
+                first, last = np.searchsorted(every, [kept.min(), kept.max()])
+                low, high = times[i]
+                times[i] = (
+                    float(every[first - 1]) if first else low,
+                    float(every[last + 1]) if last + 1 < len(every) else high,
+                )
+        return replace(self.setting, times=times)
 
 
 class EmulatedLikelihood:
@@ -343,82 +436,76 @@ class EmulatedLikelihood:
         known = setting.shares if setting.clocks else setting.shares[:0]
         self._fitted = np.flatnonzero(np.isnan(known))
         self._count = _SHARE_NODES.get(len(self._fitted), 1)
-        at = np.cos(np.pi * (np.arange(self._count) + 0.5) / self._count)
-        low, high = LOG_SHARES
-        share_nodes = []
+        if not len(self._fitted):
+            #: of each part: freedom, roots R of its squares |R (1, z)|^2, and of those which growth
+            #: takes out at each node, with constants
+            self._forms = [self._form(*noises) for noises in likelihood.noises]
+            return
+        at, (low, high) = np.cos(np.pi * (np.arange(self._count) + 0.5) / self._count), LOG_SHARES
+        inverse, weights = np.linalg.inv(chebvander(at, self._count - 1)), np.ones((1, 1))
+        for _ in self._fitted:
+            weights = np.kron(weights, inverse)
+        (part,) = likelihood.parts
+        grams, constants = [], []
         for chosen in itertools.product(at, repeat=len(self._fitted)):
             shares = known.copy()
             shares[self._fitted] = np.exp(low + 0.5 * (np.array(chosen) + 1.0) * (high - low))
-            share_nodes.append(shares)
-        inverse = np.linalg.inv(chebvander(at, self._count - 1))
-        weights = np.ones((1, 1))
-        for _ in self._fitted:
-            weights = np.kron(weights, inverse)
-        #: of each part and growth time: the weight's log, noise, and matrices of the squares in the
-        #: coordinates, or their Chebyshev coefficients with those of the constant
-        self._forms: list[list[tuple[float, Noise, FloatArray, FloatArray]]] = []
-        for part, nodes in zip(likelihood.parts, likelihood.nodes, strict=True):
-            if not len(self._fitted):
-                forms = [(n.log_weight, n.noise, self._root(n.noise), np.zeros(0)) for n in nodes]
-            else:
-                at_shares = [likelihood.nodes_at(part, shares) for shares in share_nodes]
-                forms = []
-                for number, node in enumerate(nodes):
-                    noises = [every[number].noise for every in at_shares]
-                    roots = [self._root(noise) for noise in noises]
-                    grams = np.einsum("kq,qij->kij", weights, [r.T @ r for r in roots])
-                    constants = weights @ [noise.log_constant for noise in noises]
-                    forms.append((node.log_weight, node.noise, grams, constants))
-            self._forms.append(forms)
+            _, root, taken, constant = self._form(*likelihood.noise_at(part, shares))
+            grams.append(root.T @ root - np.einsum("kgi,kgj->kij", taken, taken))
+            constants.append(constant)
+        #: Chebyshev coefficients (K, nodes of shares, q q) of the matrices of squares at each growth
+        #: time, and (K, nodes of shares) of the constants
+        self._grams = np.einsum("cs,skij->kcij", weights, grams).reshape(
+            len(constants[0]), len(weights), -1
+        )
+        self._constants = np.einsum("cs,sk->kc", weights, constants)
 
-    def _root(self, noise: Noise) -> FloatArray:
-        """Return R: squares at coordinates z are |R (1, z)|^2."""
+    def _form(
+        self, noise: Noise, growth: Growth
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Return freedom, R (q, 1 + r), what growth takes out (K, g, 1 + r), and constants (K,)."""
         emulator, data = self.emulator, noise.data(self.likelihood.data[noise.rows])
         rows = np.column_stack([data - emulator.mean[noise.rows], -emulator.modes[:, noise.rows].T])
         rows = noise(rows)
-        return np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+        taken = growth.directions(rows, np.eye(1, rows.shape[1])[0])
+        constants = noise.log_constant + growth.log_constants
+        root = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+        return noise.freedom - growth.free, root, taken, constants - 0.5 * growth.constant
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:
         """Return log p (s,) at coordinates (s, r) of the emulator and shares (s, bodies)."""
-        likelihood = self.likelihood
+        likelihood, total = self.likelihood, np.zeros(len(coordinates))
         v = np.concatenate([np.ones((len(coordinates), 1)), coordinates], axis=1)
-        total = np.zeros(len(v))
         if len(self._fitted):
-            low, high = LOG_SHARES
-            t = 2.0 * (np.log(shares[:, self._fitted]) - low) / (high - low) - 1.0
-            terms = chebvander(t[:, 0], self._count - 1)
-            for column in t.T[1:]:
-                more = chebvander(column, self._count - 1)
-                terms = (terms[:, :, None] * more[:, None]).reshape(len(terms), -1)
-        for part, forms in zip(likelihood.parts, self._forms, strict=True):
-            logs = []
-            for log_weight, noise, matrix, constants in forms:
-                if len(self._fitted):
-                    products = (v[:, :, None] * v[:, None]).reshape(len(v), -1)
-                    squares = np.einsum("sk,sk->s", terms, products @ matrix.reshape(len(matrix), -1).T)
-                    log_p = terms @ constants - 0.5 * squares
+            terms = self._share_terms(shares)
+            products = (v[:, :, None] * v[:, None]).reshape(len(v), -1)
+            logs = [
+                terms @ constants - 0.5 * np.einsum("sc,sc->s", terms, products @ grams.T)
+                for grams, constants in zip(self._grams, self._constants, strict=True)
+            ]
+            total = logsumexp(logs, axis=0) if len(logs) > 1 else logs[0]
+        else:
+            for part, (freedom, root, taken, constants) in zip(
+                likelihood.parts, self._forms, strict=True
+            ):
+                squares = np.square(v @ root.T).sum(axis=1)
+                if taken.shape[1]:
+                    less = np.square(v @ taken.reshape(-1, v.shape[1]).T)
+                    less = less.reshape(len(v), *taken.shape[:2]).sum(axis=2)
+                    log_p = constants + likelihood.log_p(part, freedom, squares[:, None] - less)
+                    total += logsumexp(log_p, axis=1)
                 else:
-                    log_p = likelihood.log_p(part, noise, np.square(v @ matrix.T).sum(axis=1))
-                logs.append(log_weight + log_p)
-            total += logsumexp(logs, axis=0) if len(logs) > 1 else logs[0]
+                    total += constants[0] + likelihood.log_p(part, freedom, squares)
         if len(at := likelihood.limits):
             emulator = self.emulator
             total += likelihood.of_limits(emulator.mean[at] + coordinates @ emulator.modes[:, at])
         return total
 
-
-def times_that_count(likelihood: TestLikelihood, readings: FloatArray) -> Setting:
-    """Return the setting with growth times (s) that matter at some of the readings (P, n)."""
-    times = dict(likelihood.setting.times)
-    for logs, nodes in zip(likelihood.by_node(readings), likelihood.nodes, strict=True):
-        counts = (logs - logs.max(axis=0)).max(axis=1) > -_COUNTS
-        for i in nodes[0].times:
-            every = np.array(sorted({node.times[i] for node in nodes}))
-            kept = {node.times[i] for node, count in zip(nodes, counts, strict=True) if count}
-            first, last = np.searchsorted(every, [min(kept), max(kept)])
-            low, high = times[i]
-            times[i] = (
-                float(every[first - 1]) if first else low,
-                float(every[last + 1]) if last + 1 < len(every) else high,
-            )
-    return replace(likelihood.setting, times=times)
+    def _share_terms(self, shares: FloatArray) -> FloatArray:
+        """Return the Chebyshev polynomials (s, nodes) of the shares that are fitted."""
+        low, high = LOG_SHARES
+        terms = np.ones((len(shares), 1))
+        for column in np.log(shares[:, self._fitted]).T:
+            more = chebvander(2.0 * (column - low) / (high - low) - 1.0, self._count - 1)
+            terms = (terms[:, :, None] * more[:, None]).reshape(len(terms), -1)
+        return terms

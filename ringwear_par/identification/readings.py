@@ -142,13 +142,12 @@ def growth(nuisance: Nuisance, case: Case, t: FloatArray, time: float) -> FloatA
     return grown
 
 
-def nuisance_columns(series: Series, case: Case, growth_time: float | None = None) -> FloatArray:
+def nuisance_columns(series: Series, case: Case) -> FloatArray:
     """Return (n, nuisances) what each linear nuisance of a series adds to its readings, by its unit.
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with its change since the start); the tilt
-    with the distance in mm from the middle of the contact. Thermal growth comes near to 1 after
-    some growth times (s); with ``power`` it follows the friction power, over its largest.
+    with the distance in mm from the middle of the contact.
     """
     columns = []
     for nuisance in series.linear_nuisances:
@@ -160,9 +159,6 @@ def nuisance_columns(series: Series, case: Case, growth_time: float | None = Non
             column = 1e-3 * (in_time(case.load.force, series.x) - start)
         elif nuisance.kind == "tilt":
             column = series.x - 0.5 * sum(case.contact)
-        elif nuisance.kind == "thermal":
-            assert growth_time is not None
-            column = growth(nuisance, case, series.x, growth_time)
         else:
             column = np.ones(series.n)
         columns.append(series.factor * column)

@@ -1,10 +1,11 @@
 """Draws of a density by emcee, from draws of a nearby one; the integral of a density."""
 
+import itertools
 from collections.abc import Callable
-from typing import Any
 
 import emcee
 import numpy as np
+from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
 from ringwear_par.arrays import FloatArray
@@ -21,8 +22,50 @@ _SHORT = 30
 _COUNT = 0.25
 #: most draws that are kept
 _KEPT = 20_000
+#: draws from which a nearby density is made, where they are cut, and fewest in a part, by dimension
+_LIKELY, _CUTS, _A_PART = 4096, (0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0), 5
 #: draws for an integral
 _EVIDENCE_DRAWS = 8192
+
+
+class Nearby:
+    """A density near that of draws (s, d): a mixture of t distributions, one behind the other.
+
+    Draws are cut across their longest direction into parts, those at its ends too, each of which
+    has a t of its own and much the same weight: so bent and long tails are reached often.
+    """
+
+    def __init__(self, draws: FloatArray) -> None:
+        d = draws.shape[1]
+        spread = draws.std(axis=0)
+        scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+        along = scaled @ np.linalg.svd(scaled, full_matrices=False)[2][0]
+        cuts = np.quantile(along, _CUTS)
+        parts = [draws[(along >= a) & (along <= b)] for a, b in itertools.pairwise(cuts)]
+        parts = [draws, *(part for part in parts if len(part) > _A_PART * d)]
+        self._parts = [
+            multivariate_t(
+                part.mean(axis=0), 1.4 * np.cov(part.T).reshape(d, d), df=6, allow_singular=True
+            )
+            for part in parts
+        ]
+
+    def draw(self, count: int, random: np.random.RandomState) -> FloatArray:
+        """Return draws (count, d)."""
+        parts = random.randint(len(self._parts), size=count)
+        d = self._parts[0].dim
+        out = np.empty((count, d))
+        for number, part in enumerate(self._parts):
+            some = parts == number
+            if some.any():
+                out[some] = part.rvs(int(some.sum()), random).reshape(-1, d)
+        return out
+
+    def log_density(self, x: FloatArray) -> FloatArray:
+        """Return the log density (s,) at x (s, d)."""
+        logs = np.array([part.logpdf(x).reshape(len(x)) for part in self._parts])
+        density: FloatArray = logsumexp(logs, axis=0) - np.log(len(logs))
+        return density
 
 
 def draw(
@@ -63,8 +106,10 @@ def draw(
         # a start that is not drawn twice, as far as there are enough
         start = draws[random.choice(len(draws), walkers, np.count_nonzero(chance) < walkers, chance)]
         last = power >= most
+        # draws of this power, as far as those there are know it
+        likely = draws[random.choice(len(draws), min(len(draws), _LIKELY), True, chance)]
         draws, old, effective = sample(
-            lambda x, power=power: log_p(x, power), start, random, want if last else 0.0
+            lambda x, power=power: log_p(x, power), start, Nearby(likely), random, want * last
         )
     return draws, old, effective
 
@@ -72,6 +117,7 @@ def draw(
 def sample(
     log_p: Callable[[FloatArray], FloatArray],
     start: FloatArray,
+    nearby: Nearby,
     random: np.random.Generator,
     want: float,
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -83,14 +129,14 @@ def sample(
     Parameters
     ----------
     start : (walkers, d) draws of about this density.
+    nearby : about them.
     want : effective number; 0: a few steps are enough.
     """
     walkers, d = start.shape
-    nearby = _about(start)
 
     def anywhere(x: FloatArray, random: np.random.RandomState) -> tuple[FloatArray, FloatArray]:
-        new = nearby.rvs(len(x), random).reshape(x.shape)
-        return new, nearby.logpdf(x) - nearby.logpdf(new)
+        new = nearby.draw(len(x), random)
+        return new, nearby.log_density(x) - nearby.log_density(new)
 
     moves = [
         (emcee.moves.MHMove(anywhere), 0.4), (emcee.moves.DEMove(), 0.45), (emcee.moves.StretchMove(), 0.15),
@@ -131,16 +177,10 @@ def correlation_time(chain: FloatArray) -> float:
 def log_evidence(
     log_p: Callable[[FloatArray], FloatArray], draws: FloatArray
 ) -> tuple[float, float]:
-    """Return the log of the integral of a density and its error, from a t about its draws (s, d)."""
-    density = _about(draws)
-    points = density.rvs(_EVIDENCE_DRAWS, 0).reshape(_EVIDENCE_DRAWS, -1)
-    logs = log_p(points) - density.logpdf(points)
+    """Return the log of the integral of a density and its error, from another about its draws."""
+    density = Nearby(draws)
+    points = density.draw(_EVIDENCE_DRAWS, np.random.RandomState(0))
+    logs = log_p(points) - density.log_density(points)
     weights = np.exp(logs - logs.max())
     error = weights.std() / weights.mean() / np.sqrt(len(weights))
     return float(logs.max() + np.log(weights.mean())), float(error)
-
-
-def _about(draws: FloatArray) -> Any:
-    """Return a t distribution about draws (s, d)."""
-    covariance = np.cov(draws.T).reshape(draws.shape[1], -1)
-    return multivariate_t(draws.mean(axis=0), 1.2 * covariance, df=6, allow_singular=True)

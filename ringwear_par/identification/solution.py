@@ -18,12 +18,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.likelihood import (
-    EmulatedLikelihood,
-    Setting,
-    TestLikelihood,
-    times_that_count,
-)
+from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
 from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
 from ringwear_par.identification.setting import needs_middle, settings_at
@@ -110,7 +105,7 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
             if emulators:
                 some = xs[:: max(1, len(xs) // 256)]
                 settings = [
-                    times_that_count(TestLikelihood(test, settings[i], shares), emulators[i](some[:, i]))
+                    TestLikelihood(test, settings[i], shares).with_times_that_count(emulators[i](some[:, i]))
                     for i, test in enumerate(readings.problem.experiments)
                 ]
             settings = settings_at(readings, settings, middle, shares, first=not number)

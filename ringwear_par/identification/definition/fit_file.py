@@ -1,5 +1,6 @@
 """Fit files: a base case, the keys to fit, and experiments with their measurements."""
 
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -37,6 +38,10 @@ from ringwear_par.identification.definition.scatter import (
     read_process,
 )
 
+log = logging.getLogger(__name__)
+
+#: keys of the search for an optimum, which files of laboratories still have
+_GONE = ("starts", "method")
 _TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
 #: beginning of the faults of a test that is a row of a table
 _ROW = re.compile(r'.*?: line \d+: experiment "(?:[^"\\]|\\.)*": ')
@@ -159,6 +164,9 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 def _read_settings(
     place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
+    if isinstance(table, Mapping) and (gone := [key for key in _GONE if key in table]):
+        log.warning("%s: %s: is not needed any more, and ignored", place, ", ".join(gone))
+        table = {key: value for key, value in table.items() if key not in gone}
     reader = TableReader(place, table, faults, schema.FIT)
     fitted = reader.raw("parameters")
     units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)

@@ -212,8 +212,8 @@ class Series:
 
     @property
     def linear_nuisances(self) -> "tuple[Nuisance, ...]":
-        """Its nuisances but for the time of thermal growth."""
-        return tuple(n for n in self.nuisances if n.kind != GROWTH_TIME)
+        """Its nuisances but for thermal growth."""
+        return tuple(n for n in self.nuisances if n.kind not in ("thermal", GROWTH_TIME))
 
     @property
     def growth_time(self) -> "Nuisance | None":
