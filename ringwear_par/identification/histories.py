@@ -49,6 +49,8 @@ _MANY = 100
 _FIRST, _SHORT = 2e-4, 1e-2
 #: share of the test below which the distance of two times counts as none
 _CLOSE = 1e-7
+#: most operators of points that are remembered
+_MOST_PAIRS = 512
 #: share of its bounds by which a key is moved for a derivative
 _DIFFERENCE = 1e-4
 
@@ -77,13 +79,14 @@ class Readings:
         self.steps = STEPS
         #: histories computed, those that failed, and why the first one did
         self.count, self.failed, self.reason = 0, 0, ""
-        #: of tests whose values have operators of their own there is none
+        #: of the tests, and of the last points where each value has an operator of its own
         self._pairs: dict[Hashable, ContactPair] = {}
         with together(comm):
             for test in problem.experiments:
                 key = operator_key(test.case)
                 if not is_elastic(test.case, problem.keys) and key not in self._pairs:
                     self._pairs[key] = assemble(test.case, comm)
+        self._kept = {*self._pairs}
 
     @property
     def same_as(self) -> list[int]:
@@ -198,9 +201,8 @@ class Readings:
     ) -> list[FloatArray | HistoryError]:
         """Return the readings at each (test, values of the keys), by this rank alone."""
         rows: dict[int, FloatArray | HistoryError] = {}
-        groups: dict[Hashable, list[tuple[int, Case]]] = defaultdict(list)
+        cases: dict[int, Case] = {}
         tests = {test: problem.experiments[test] for test, _ in entries}
-        readers = {test: Reader(experiment) for test, experiment in tests.items()}
         for test, experiment in tests.items():
             numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
             points = np.array([entries[i][1] for i in numbers])
@@ -208,26 +210,34 @@ class Readings:
                 if isinstance(case, HistoryError):
                     rows[i] = case
                 else:
-                    groups[operator_key(case)].append((i, case))
+                    cases[i] = case
+        pairs = self._pairs
+        while len(pairs) > _MOST_PAIRS:  # the oldest ones that are of a point
+            del pairs[next(key for key in pairs if key not in self._kept)]
+        groups: dict[Hashable, list[int]] = defaultdict(list)
+        for i, case in cases.items():
+            key = operator_key(case)
+            try:
+                if key not in pairs:
+                    pairs[key] = assemble(case, MPI.COMM_SELF, use_kept=False)
+                groups[operator_key(tests[entries[i][0]].case)].append(i)
+            except ComputationError as error:
+                rows[i] = HistoryError(reason_of(error))
+        readers = {test: Reader(experiment) for test, experiment in tests.items()}
         grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
         paces = {test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()}
-        for key, group in groups.items():
-            try:
-                pair = self._pairs.get(key) or assemble(group[0][1], MPI.COMM_SELF, use_kept=False)
-            except ComputationError as error:
-                rows.update({i: HistoryError(reason_of(error)) for i, _ in group})
-                continue
-            owners = [entries[i][0] for i, _ in group]
+        for numbers in groups.values():
+            owners = [entries[i][0] for i in numbers]
             parts = computed(
-                [case for _, case in group], pair, results=True,
-                step_times=[grids[test].tolist() for test in owners],
+                [cases[i] for i in numbers], [pairs[operator_key(cases[i])] for i in numbers],
+                results=True, step_times=[grids[test].tolist() for test in owners],
                 paces=None if factors == (1.0, 1.0) else [paces[test] for test in owners],
             )  # fmt: skip
             for part in parts:
                 for place, result in zip(part.numbers, part.results(), strict=True):
-                    i, case = group[place]
+                    i = numbers[place]
                     if isinstance(result, Result):
-                        rows[i] = readers[entries[i][0]].read(trajectory(result, case))
+                        rows[i] = readers[entries[i][0]].read(trajectory(result, cases[i]))
                     else:
                         rows[i] = HistoryError(reason_of(result))
         return [rows[i] for i in range(len(entries))]
