@@ -22,8 +22,10 @@ from ringwear_par.identification.likelihood import LOG_SHARES, EmulatedLikelihoo
 
 #: degrees of freedom of half-t priors of sizes
 _DEGREES = 4.0
-#: logarithms of sizes are within it
-_LARGEST = 12.0
+#: logarithms of sizes are no farther from those of the scales of their priors
+_FAR = 10.0
+#: share of the variance that keeps covariances of groups regular where one level vanishes
+_REGULAR = 1e-10
 
 
 def log_half_t(log_size: FloatArray, scale: float) -> FloatArray:
@@ -72,7 +74,9 @@ class Scattering:
             rest = np.square(x - mean[..., None]).sum(axis=-1) / tau**2
             return mean, precision, -n * np.log(tau) - 0.5 * rest - 0.5 * np.log(precision)
         sizes = np.stack([self.size(theta, level) for level in range(len(self.levels))], axis=-1)
+        total = np.square(sizes).sum(axis=-1)[..., None, None]
         covariance = np.einsum("...l,lij->...ij", sizes**2, self.same)
+        covariance = covariance + _REGULAR * total * np.eye(x.shape[-1])
         factor = np.linalg.inv(np.linalg.cholesky(covariance))
         a, b = np.einsum("...ij,...j->...i", factor, x), factor.sum(axis=-1)
         precision = np.square(b).sum(axis=-1)
@@ -178,7 +182,7 @@ class Layout:
         logs = np.zeros(theta.shape[:-1])
         for place, scale in self.sizes:
             logs = logs + log_half_t(theta[..., place], scale)
-            logs = np.where(np.abs(theta[..., place]) < _LARGEST, logs, -np.inf)
+            logs = np.where(np.abs(theta[..., place] - np.log(scale)) < _FAR, logs, -np.inf)
         for place in self.share_places:
             if place is not None:
                 share = theta[..., place]

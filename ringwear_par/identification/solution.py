@@ -184,7 +184,12 @@ def _drawn(
     random: np.random.Generator,
     want: float,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return draws of a posterior, see ``draw``, in coordinates without funnels."""
+    """Return draws of a posterior, see ``draw``, in coordinates without funnels.
+
+    A few draws first, where many are wanted, tell better coordinates.
+    """
+    if want:
+        draws, density, _ = _drawn(posterior, draws, density, power, random, 0.0)
     funnel = Funnel(posterior, draws)
 
     def log_p(flat: FloatArray, power: float) -> FloatArray:
