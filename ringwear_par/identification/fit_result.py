@@ -95,34 +95,33 @@ class FitResult(Outcome):
 
     @property
     def chi2(self) -> float:
-        """Sum of the squares of the readings' residuals over their noise, but for mere limits."""
-        return sum(float(np.square(t.residuals[t.censored == 0.0]).sum()) for t in self.tests)
+        """Sum of squares at the mode, with those of priors: of all readings but mere limits.
+
+        Over the noise, and random wear where it is fitted; nuisances are at their best.
+        """
+        return sum(test.squares for test in self.tests)
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of the readings whose noise is given, less what was fitted.
+        """Degrees of freedom of ``chi2``: readings less nuisances without priors, and keys.
 
-        Values of tests count by how much the draws raise the squares above those of the mode.
+        These count by how much the draws raise the squares above those of the mode.
         """
-        free, least = (sum(getattr(t, name) for t in self.tests) for name in ("freedom", "squares"))
-        return max(free - max(float(self._drawn_squares.mean()) - least, 0.0), 0.0)
-
-    @property
-    def _drawn_squares(self) -> FloatArray:
-        squares: FloatArray = np.sum([t.drawn_squares for t in self.tests], axis=0)
-        return squares
+        raised = np.sum([test.drawn_squares for test in self.tests], axis=0).mean() - self.chi2
+        return max(sum(test.freedom for test in self.tests) - max(float(raised), 0.0), 0.0)
 
     @cached_property
     def p_value(self) -> float | None:
-        """How probable so large a sum of squares is by chance; None: no noise of readings is given.
+        """How probable so large a sum of squares is by chance, of readings whose noise is given.
 
-        The mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384), of the readings whose
-        noise is given. None as well under the loss "student", whose noise has long tails.
+        The mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384). None where all noise was
+        fitted, and under the loss "student", whose noise has long tails.
         """
-        free = sum(t.freedom for t in self.tests)
+        free = sum(test.tested_freedom for test in self.tests)
         if self.problem.settings.loss == "student" or free < 1.0:
             return None
-        return float(chi2.sf(self._drawn_squares, free).mean())
+        squares = np.sum([test.tested_squares for test in self.tests], axis=0)
+        return float(chi2.sf(squares, free).mean())
 
     @property
     def flagged(self) -> bool:

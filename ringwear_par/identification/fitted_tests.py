@@ -98,11 +98,14 @@ class FittedTest:
     excess_sd: FloatArray
     #: (n, bodies) mm, mean depth by the law
     depths: FloatArray
-    #: sums of squares with priors' at the mode and at the draws (s,), and degrees of freedom; of
-    #: readings whose noise is given
+    #: sums of squares, with random wear and priors', at the mode and at the draws (s,), and their
+    #: degrees of freedom
     squares: float
     drawn_squares: FloatArray
     freedom: float
+    #: the latter two of readings whose noise is given
+    tested_squares: FloatArray
+    tested_freedom: float
     #: -2 log p of all readings at the mode, priors' squares included
     deviance: float
     #: number of nuisances and fitted noises
@@ -141,7 +144,8 @@ def fitted_test(
     model = (at_best + likelihood.nuisance_draws(at_best)[0])[0]
     band = (readings + added).std(axis=0)
     noise, excess, excess_sd = noisy(likelihood, np.eye(n)), *np.zeros((2, n, len(depths)))
-    squares, freedom, drawn = 0.0, 0.0, np.zeros(len(x))
+    squares, freedom, tested_freedom = 0.0, 0.0, 0.0
+    drawn, tested = np.zeros((2, len(x)))
     deviance = -2.0 * float(likelihood.of_limits(at_best[:, likelihood.limits])[0])
     for mode, others in zip(
         parts_at(likelihood, at_best), parts_at(likelihood, readings), strict=True
@@ -161,14 +165,16 @@ def fitted_test(
             excess[:, body] = depths[body] * root @ (felt.T @ mode.scores[:, 0])
             excess_sd[:, body] = depths[body] * np.sqrt(np.maximum(variance, 0.0))
         deviance += float(mode.squares[0]) + mode.log_volume + len(rows) * np.log(2.0 * np.pi)
+        squares, freedom = squares + float(mode.squares[0]), freedom + mode.freedom
+        drawn += others.squares
         if mode.given:
-            squares, freedom = squares + float(mode.squares[0]), freedom + mode.freedom
-            drawn = drawn + others.squares
+            tested, tested_freedom = tested + others.squares, tested_freedom + mode.freedom
     sd = setting.sd.copy()
     residuals = (likelihood.data - model) / sd
     fitted = FittedTest(
         test, likelihood.data, sd, at_best[0], model, band, residuals, side, excess, excess_sd,
-        depths * np.array([depth for _, depth in setting.clocks]).reshape(len(depths), n).T, squares, drawn, freedom, deviance,
+        depths * np.array([depth for _, depth in setting.clocks]).reshape(len(depths), n).T,
+        squares, drawn, freedom, tested, tested_freedom, deviance,
         len(values) + len(times) + sum(series.sd_fitted for series in test.series), values, times,
     )  # fmt: skip
     for series, part in fitted.records:

@@ -161,7 +161,7 @@ def goodness(outcome: Entry) -> str:
     of += f" and {counted(n_limits, 'limit')}" * bool(n_limits)
     return (
         f"chi2 = {outcome['chi2']:.4g} of {of}, "
-        f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); {criteria}"
+        f"{outcome['degrees_of_freedom']:.4g} degrees of freedom ({test}); {criteria}"
     )
 
 
