@@ -183,7 +183,7 @@ def write_draws(
                 write_variable(group, Variable(word, (axis,), "1", "what was read"), array)
             else:
                 _axes(group, chain=CHAINS, draw=by_chain[1], **axes)
-                put(word, array.astype(np.float32), "1", name.replace("_", " "), axis)
+                put(word, array, "1", name.replace("_", " "), axis)
             for place, entries in () if of_tests else places.items():
                 meaning = f"{place} of the reading"
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])

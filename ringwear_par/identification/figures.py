@@ -72,7 +72,7 @@ def plot_parameters(fit: FitResult) -> Figure:
     """Return densities of the keys on the diagonal, draws of pairs before it."""
     values = fit.draws.values(fit.draws.material)
     rows = key_panels.fitted_keys(fit.to_dict(), dict(zip(fit.draws.keys, values.T, strict=True)))
-    return panel_figure(rows, (1.2 + 2.7 * len(rows), 0.9 + 2.5 * len(rows)))
+    return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
 
 
 def plot_specimens(fit: FitResult) -> Figure:

@@ -24,13 +24,14 @@ _STEP = 0.5
 
 
 class Part(NamedTuple):
-    """Readings of a part of a test, see ``TestLikelihood``, at the most probable growth times."""
+    """Readings of a part of a test, see ``TestLikelihood``, each draw with its likeliest growth."""
 
     #: (n,) numbers of its readings
     rows: np.ndarray
     #: (n, s) P r, see above
     scores: FloatArray
-    #: (n, n) P
+    #: (n, s) P_ii, and (n, n) P with the growth that is likeliest of all
+    information: FloatArray
     precision: FloatArray
     #: (s,) r' P r with the priors' squares, and its degrees of freedom
     squares: FloatArray
@@ -50,16 +51,17 @@ def parts_at(likelihood: TestLikelihood, readings: FloatArray) -> list[Part]:
     ):
         white = noise(noise.data(likelihood.data[noise.rows])[:, None] - readings.T[noise.rows])
         every = np.eye(len(noise.rows))
-        units = noise(every)
-        node = int(np.argmax(np.logaddexp.reduce(logs, axis=1)))
-        taken = growth.directions(units, np.zeros(len(every)))[node]
-        along = growth.directions(white, np.ones(white.shape[1]))[node]
-        squares = np.take_along_axis(growth.squares(white), logs.argmax(axis=0)[None], axis=0)[0]
+        units, nodes = noise(every), logs.argmax(axis=0)
+        taken = growth.directions(units, np.zeros(len(every)))
+        along = growth.directions(white, np.ones(len(nodes)))[nodes, :, np.arange(len(nodes))]
+        squares = growth.squares(white)[nodes, np.arange(len(nodes))]
+        whole, likeliest = units.T @ units, taken[np.logaddexp.reduce(logs, axis=1).argmax()]
+        less = np.square(taken).sum(axis=1)[nodes].T
         values = np.flatnonzero(sides(likelihood.test)[noise.rows] == 0.0)
         root = noise.white(every)[np.ix_(values, values)]
         parts.append(Part(
-            noise.rows, units.T @ white - taken.T @ along, units.T @ units - taken.T @ taken,
-            squares, noise.freedom - growth.free,
+            noise.rows, units.T @ white - np.einsum("sgn,sg->ns", taken[nodes], along),
+            np.diag(whole)[:, None] - less, whole - likeliest.T @ likeliest, squares, noise.freedom - growth.free,
             not any(likelihood.test.series[i].sd_fitted for i in numbers),
             -2.0 * float(np.linalg.slogdet(root)[1]) if len(values) else 0.0,
         ))  # fmt: skip
@@ -202,8 +204,7 @@ def readings_of_draws(
     for part in parts_at(likelihood, readings):
         rows, values = part.rows, side[part.rows] == 0.0
         own = noisy(likelihood, np.eye(len(side)))[np.ix_(rows, rows)]
-        information = np.diag(part.precision)[values, None]
-        scores = part.scores[values]
+        information, scores = part.information[values], part.scores[values]
         there = 0.5 * (np.log(information / (2.0 * np.pi)) - scores**2 / information)
         logs[:, rows[values]] = there.T
         root = np.linalg.cholesky(2.0 * np.eye(len(own)) - own.T @ part.precision @ own)
