@@ -175,7 +175,8 @@ def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
                 outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
             ):  # fmt: skip
                 axis, unit = ("r", "mm") if series.profile else ("time", "s")
-                at = f"{name} at {axis} = {series.x[np.argmax(far * outside)]:.6g} {unit}"
+                place = f" at {axis} = {series.x[np.argmax(far * outside)]:.6g} {unit}"
+                at = f"{name}{place * (series.n > 1)}"
                 few.append((far[outside].max(), outside.sum(), at, test.experiment.name))
     if few:
         most, _, at, _ = max(few)
@@ -416,7 +417,7 @@ def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about draws that are not those of the posterior."""
     if fit.solution.weighed:
         yield ValidityWarning("weighed", fit.solution.weighed)
-    if not fit.solution.step_error < _STEPPED:
+    if _STEPPED <= fit.solution.step_error < np.inf:
         text = f"time steps half as long would change log p by {fit.solution.step_error:.2g} (sd)"
         yield ValidityWarning("step-dependent", text)
     if fit.solution.failed > _FAILED * fit.solution.histories:

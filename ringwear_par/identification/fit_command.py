@@ -5,7 +5,6 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from ringwear_par.errors import InputError
 from ringwear_par.files.folders import FIT, check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification import fit_folder
@@ -36,7 +35,8 @@ def run_fit(
 
     def check() -> None:
         check_folder(folder, fit_folder.FILES, "fit")
-        announce_replacement(folder / FIT)
+        if not overwrite:
+            announce_replacement(folder / FIT)
 
     on_first_rank(comm, check)
     if comm.rank == 0:

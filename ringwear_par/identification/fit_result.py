@@ -99,6 +99,8 @@ class FitResult(Outcome):
 
         Over the noise, and random wear where it is fitted; nuisances are at their best.
         """
+        if self.problem.settings.loss == "student":  # the sd of outliers is larger in the others
+            return sum(float(np.square(t.residuals[t.censored == 0.0]).sum()) for t in self.tests)
         return sum(test.squares for test in self.tests)
 
     @property
@@ -107,8 +109,8 @@ class FitResult(Outcome):
 
         These count by how much the draws raise the squares above those of the mode.
         """
-        raised = np.sum([test.drawn_squares for test in self.tests], axis=0).mean() - self.chi2
-        return max(sum(test.freedom for test in self.tests) - max(float(raised), 0.0), 0.0)
+        raised = sum(float(test.drawn_squares.mean()) - test.squares for test in self.tests)
+        return max(sum(test.freedom for test in self.tests) - max(raised, 0.0), 0.0)
 
     @cached_property
     def p_value(self) -> float | None:

@@ -61,7 +61,8 @@ def parts_at(likelihood: TestLikelihood, readings: FloatArray) -> list[Part]:
         root = noise.white(every)[np.ix_(values, values)]
         parts.append(Part(
             noise.rows, units.T @ white - np.einsum("sgn,sg->ns", taken[nodes], along),
-            np.diag(whole)[:, None] - less, whole - likeliest.T @ likeliest, squares, noise.freedom - growth.free,
+            np.diag(whole)[:, None] - less, whole - likeliest.T @ likeliest, squares,
+            noise.freedom - growth.free,
             not any(likelihood.test.series[i].sd_fitted for i in numbers),
             -2.0 * float(np.linalg.slogdet(root)[1]) if len(values) else 0.0,
         ))  # fmt: skip
@@ -155,7 +156,7 @@ def fitted_test(
         own, known = noise[np.ix_(mode.rows, mode.rows)], side[mode.rows] == 0.0
         rest = own @ (own.T @ np.concatenate([mode.scores, others.scores], axis=1))
         left = np.eye(len(own)) - own.T @ mode.precision @ own
-        variance = np.einsum("ij,jk,ik->i", own, left, own) + rest[:, 1:].var(axis=1)
+        variance = ((own @ left) * own).sum(axis=1) + rest[:, 1:].var(axis=1)
         rows = mode.rows[known]
         model[rows] = likelihood.data[rows] - rest[known, 0]
         band[rows] = np.sqrt(np.maximum(variance[known], 0.0))
@@ -163,7 +164,7 @@ def fitted_test(
             root = likelihood.shares[body] * brownian_root(depth)
             felt = slope[:, None] * root
             left = np.eye(n) - felt.T @ mode.precision @ felt
-            variance = np.einsum("ij,jk,ik->i", root, left, root)
+            variance = ((root @ left) * root).sum(axis=1)
             excess[:, body] = depths[body] * root @ (felt.T @ mode.scores[:, 0])
             excess_sd[:, body] = depths[body] * np.sqrt(np.maximum(variance, 0.0))
         deviance += float(mode.squares[0]) + mode.log_volume + len(rows) * np.log(2.0 * np.pi)

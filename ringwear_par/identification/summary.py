@@ -49,15 +49,47 @@ class KeyRow:
     #: a remark on the number
     note: str = ""
 
+    @property
+    def digits(self) -> int:
+        """How many digits its numbers have."""
+        return digits_of(0.0 if self.estimate is None else self.estimate, self.interval)
 
-def limits(interval: Interval) -> str:
-    """Return an interval in words."""
+    @property
+    def value(self) -> str:
+        """The estimate with its unit, or the limit."""
+        if self.estimate is None:
+            return f"{limits(self.interval)} {self.unit}".rstrip()
+        return f"{number(self.estimate, self.digits)} {self.unit}".rstrip()
+
+    @property
+    def ends(self) -> str:
+        """The interval in words, "" where it is told as the value."""
+        return "" if self.estimate is None else limits(self.interval, self.digits)
+
+
+def digits_of(estimate: float, interval: Interval) -> int:
+    """Return how many digits a number and its interval are told with: no more than draws know."""
     low, high = interval
+    if low is None or high is None or low == high:
+        return _DIGITS
+    ratio = max(abs(estimate), abs(low), abs(high)) / (high - low)
+    return max(_DIGITS, 2 + int(np.log10(ratio)))
+
+
+def number(value: float, digits: int = _DIGITS) -> str:
+    """Return a number with some significant digits, without an exponent up to a million."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e" in text and 1e3 <= abs(value) < 1e6 else text
+
+
+def limits(interval: Interval, digits: int = _DIGITS) -> str:
+    """Return an interval in words."""
+    low, high = (None if end is None else number(end, digits) for end in interval)
     if low is not None and high is not None:
-        return f"from {low:.{_DIGITS}g} to {high:.{_DIGITS}g}"
+        return f"from {low} to {high}"
     if low is None and high is None:
         return "no limit within its bounds"
-    return f"more than {low:.{_DIGITS}g}" if high is None else f"less than {high:.{_DIGITS}g}"
+    return f"more than {low}" if high is None else f"less than {high}"
 
 
 def users_numbers(entry: Entry) -> tuple[Entry, str]:
@@ -175,10 +207,8 @@ def _nuisance(kind: str, entry: Entry, unit: str) -> str:
 
 def _estimate_text(key: str, entry: Entry) -> str:
     row = key_rows(key, entry)[0]
-    if row.estimate is None:
-        return f"{key} {limits(row.interval)} {row.unit}".rstrip()
-    sd = row.sd if row.verdict == "identified" else None
-    return f"{key} = {_with_sd(row.estimate, sd, _DIGITS, f' {row.unit}'.rstrip())}"
+    known = f" (u = {row.sd:.2g})" * (row.verdict == "identified")
+    return f"{key} {row.value}" if row.estimate is None else f"{key} = {row.value}{known}"
 
 
 def _with_sd(value: float, sd: float | None, digits: int, unit: str) -> str:
@@ -220,8 +250,8 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
             f"{between}{size(scatter['estimate'])}{unit_of_size} ({size(low)} to "
             f"{size(high)}{unit_of_size}{at_bound})"
         )
-    low, high = in_unit["next"]
-    lines = [f"{'; '.join(sizes)}", f"the next specimen: from {low:.{_DIGITS}g} to {high:.{_DIGITS}g}{unit}"]
+    digits = digits_of(in_unit["estimate"], in_unit["next"])
+    lines = ["; ".join(sizes), f"the next specimen: {limits(in_unit['next'], digits)}{unit}"]
     comparisons = [
         f"{name} {symbol} = {size(estimate[name][symbol])}{unit_of_size}"
         for name, symbol in (("repeatability", "r"), ("reproducibility", "R"))
@@ -285,10 +315,10 @@ def check_rows(outcome: Entry) -> list[tuple[str, str, str, str]]:
         value = check["value"]
         # probabilities and counts must be more
         below = value is None or (value < check["limit"]) == check["pass"]
-        number = "-" if value is None else f"{value:.2g}" if value < 1e3 else f"{value:.0f}"
+        told = "-" if value is None else f"{value:.0f}" if value > 100.0 else f"{value:.2g}"
         sign = "<" if below else ">"
         rows.append(
-            (check["name"], number, f"{sign} {check['limit']:g}", "pass" if check["pass"] else "FAIL")
+            (check["name"], told, f"{sign} {check['limit']:g}", "pass" if check["pass"] else "FAIL")
         )
     return rows
 
@@ -327,22 +357,13 @@ def parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     for key, entry in parameters.items():
         subject = " of the material" * (entry["of"] == "material")
         row, *derived = key_rows(key, entry)
-        text = row_text(row)
-        if subject or row.verdict != "not identified":
-            interval = "" if row.estimate is None else f"  {limits(row.interval)}"
-            text = f"{text}{subject}{interval} ({100 * level:g} %)"
-        lines.append(f"  {key.ljust(width)}  {text}  {row.verdict}")
+        text = f"{row.value}{subject}  {row.ends}".rstrip()
+        lines.append(f"  {key.ljust(width)}  {text} ({100 * level:g} %)  {row.verdict}")
         for other in derived:
-            text = f"{other.label} {row_text(other)}  {limits(other.interval)} ({other.note})"
+            text = f"{other.label} {other.value}  {other.ends} ({other.note})"
             lines.append(f"  {' ' * width}  {text}")
         lines += [f"    {line}" for line in scatter_lines(entry, level)]
     return lines
-
-
-def row_text(row: KeyRow) -> str:
-    """Return the estimate of a row with its unit, or its limit."""
-    number = limits(row.interval) if row.estimate is None else f"{row.estimate:.{_DIGITS}g}"
-    return f"{number} {row.unit}".rstrip()
 
 
 def _law_lines(outcome: Mapping[str, Any]) -> list[str]:

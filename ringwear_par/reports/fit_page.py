@@ -118,9 +118,9 @@ def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
     for key, entry in outcome["parameters"].items():
         row = summary.key_rows(key, entry)[0]
         unlimited = [end is None for end in row.interval]
-        value, note = _number(row.estimate, 3), row.verdict
+        value, note = _number(row.estimate, row.digits), row.verdict
         if not any(unlimited):
-            note = f"{summary.limits(row.interval)} ({percent})"
+            note = f"{summary.limits(row.interval, row.digits)} ({percent})"
         elif not all(unlimited):
             value, note = summary.limits(row.interval), f"{percent}, {note}"
         tiles.append(page.Tile(key, value, in_signs(row.unit), note))
@@ -131,8 +131,8 @@ def _estimates(parameters: Mapping[str, Any], level: float) -> page.Table:
     percent, header = f"{100 * level:g} %", ["key", "estimate", "sd", "unit"]
     header += [f"{percent} from", f"{percent} to", "verdict"]
     rows = [
-        [row.label, _number(row.estimate, 3), _number(row.sd, 2), in_signs(row.unit),
-         *(_number(end, 3) for end in row.interval), row.verdict or with_signs(row.note)]
+        [row.label, _number(row.estimate, row.digits), _number(row.sd, 2), in_signs(row.unit),
+         *(_number(end, row.digits) for end in row.interval), row.verdict or with_signs(row.note)]
         for key, entry in parameters.items()
         for row in summary.key_rows(key, entry)
     ]  # fmt: skip
@@ -156,7 +156,7 @@ def _scatter(outcome: Mapping[str, Any]) -> list[page.Block]:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return _DASH if value is None else f"{value:.{digits}g}"
+    return _DASH if value is None else summary.number(value, digits)
 
 
 def _correlations(outcome: Mapping[str, Any]) -> page.Table:
