@@ -142,7 +142,8 @@ def write_draws(
     Parameters
     ----------
     places : "test", "series" and "at" (s or mm) of each reading, (n,).
-    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n).
+    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n);
+        "log_likelihood_test" (s, tests).
     """
     by_chain = (CHAINS, len(draws) // CHAINS)
     with atomic_hdf5(path) as file:
@@ -174,15 +175,18 @@ def write_draws(
                 put(f"process.wear.{body}", sizes, "mm", "size of the random wear")
         for name, array in readings.items():
             group = file.create_group(name)
-            n = array.shape[-1]
+            of_tests = name == "log_likelihood_test"
+            word, axis = ("test", "name") if of_tests else ("reading", "place")
+            axes = {axis: array.shape[-1]}
             if array.ndim == 1:
-                _axes(group, place=n)
-                write_variable(group, Variable("reading", ("place",), "1", "what was read"), array)
+                _axes(group, **axes)
+                write_variable(group, Variable(word, (axis,), "1", "what was read"), array)
             else:
-                _axes(group, chain=CHAINS, draw=by_chain[1], place=n)
-                put("reading", array.astype(np.float32), "1", name.replace("_", " "), "place")
-            for word, entries in places.items():
-                write_variable(group, Variable(word, ("place",), "1", f"{word} of the reading"), [*entries])
+                _axes(group, chain=CHAINS, draw=by_chain[1], **axes)
+                put(word, array, "1", name.replace("_", " "), axis)
+            for place, entries in () if of_tests else places.items():
+                meaning = f"{place} of the reading"
+                write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
 
 
 def _axes(group: h5py.Group, **sizes: int) -> None:

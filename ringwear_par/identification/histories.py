@@ -263,6 +263,21 @@ class Readings:
         ]
         return [y[0] for y in blocks], slopes
 
+    def history(self, test: int, unknowns: FloatArray) -> Result:
+        """Return the history of a test at unknowns (m,); HistoryError for none. By this rank alone."""
+        experiment, values = self.problem.experiments[test], self.problem.values(unknowns)[None]
+        (case,) = cases_at(experiment.case, self.problem.keys, values)
+        if isinstance(case, HistoryError):
+            raise case
+        pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
+        steps = [step_times(experiment, self.steps).tolist()]
+        (part,) = computed([case], pair, results=True, step_times=steps)
+        (result,) = part.results()
+        if not isinstance(result, Result):
+            raise HistoryError(reason_of(result))
+        self.count += 1
+        return result
+
     def with_friction_at(self, unknowns: FloatArray) -> Problem:
         """Return the problem, friction as its torques tell it at unknowns (tests, m).
 
@@ -273,20 +288,11 @@ class Readings:
         for number, test in enumerate(experiments):
             if test.torque_input is None:
                 continue
-            values = self.problem.values(unknowns[number])[None]
-            (case,) = cases_at(test.case, self.problem.keys, values)
-            if isinstance(case, HistoryError):
-                raise case
-            pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
-            (part,) = computed([case], pair, results=True, step_times=[step_times(test).tolist()])
-            (result,) = part.results()
-            if not isinstance(result, Result):
-                raise HistoryError(reason_of(result))
-            self.count += 1
+            result, friction = self.history(number, unknowns[number]), test.case.friction
             time, force, torque = (result.histories[n] for n in ("time", "force", "torque"))
             pressed = force > 0.0
             at = time[pressed]
-            radius = torque[pressed] / (in_time(case.friction, at) * force[pressed])
+            radius = torque[pressed] / (in_time(friction, at) * force[pressed])
             experiments[number] = test.with_radius(Table(tuple(at.tolist()), tuple(radius.tolist())))
         return self.problem.with_experiments(tuple(experiments))
 
