@@ -5,7 +5,6 @@ in the unknowns: polynomials in a box tell them. Each point in turn, left out of
 tells their error.
 """
 
-import itertools
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -28,7 +27,7 @@ _NEAR = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Where unknowns (m,) lie: within bounds, and in a parallelepiped along what is known of them."""
+    """Where unknowns (m,) are: within bounds, and in a parallelepiped along what is known."""
 
     #: (m,) bounds
     low: FloatArray
@@ -115,7 +114,7 @@ class Emulator:
         return cKDTree(self.box.inside(self.points))
 
     def holds(self, x: FloatArray) -> BoolArray:
-        """Tell which unknowns (..., m) are in the box and nearest to a point with a history, (...)."""
+        """Tell which unknowns (..., m) are in the box, and nearest to one with a history, (...)."""
         inside = self.box.holds(x)
         if len(self.points) and inside.any():
             inside[inside] = self.good[self._nearest.query(self.box.inside(x[inside]))[1]]

@@ -103,7 +103,11 @@ def _split(keys: tuple[Scattering, ...], theta: FloatArray) -> tuple[FloatArray,
 
 
 def _join(
-    keys: tuple[Scattering, ...], means: FloatArray, y: FloatArray, out: FloatArray, matrix: FloatArray
+    keys: tuple[Scattering, ...],
+    means: FloatArray,
+    y: FloatArray,
+    out: FloatArray,
+    matrix: FloatArray,
 ) -> None:
     """Put means (s, k) and contrasts (s, c, k), turned back by a matrix, in their places."""
     values = np.einsum("cg,sck->sgk", matrix, np.concatenate([means[:, None], y], axis=1))

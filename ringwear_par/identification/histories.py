@@ -90,9 +90,11 @@ class Readings:
 
     @property
     def same_as(self) -> list[int]:
-        """The first test of the same conditions and readings, of each test: they share histories."""
+        """The first test with the same conditions and readings, for each test: these share."""
         tests = self.problem.experiments
-        return [next(j for j in range(i + 1) if _alike(tests[j], tests[i])) for i in range(len(tests))]
+        return [
+            next(j for j in range(i + 1) if _alike(tests[j], tests[i])) for i in range(len(tests))
+        ]
 
     def lead(self, job: Callable[[], T]) -> T:
         """Return the result of a job of the first rank, whose blocks all ranks compute.
@@ -139,7 +141,9 @@ class Readings:
         """
         problem, same_as = self.problem, self.same_as
         at = [
-            (same_as[test], tuple(problem.values(x).tolist())) for test, points in wanted for x in points
+            (same_as[test], tuple(problem.values(x).tolist()))
+            for test, points in wanted
+            for x in points
         ]
         # equal bodies together, whose operator is then assembled once
         entries = sorted(dict.fromkeys(at), key=lambda entry: (entry[1], entry[0]))
@@ -206,7 +210,9 @@ class Readings:
         for test, experiment in tests.items():
             numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
             points = np.array([entries[i][1] for i in numbers])
-            for i, case in zip(numbers, cases_at(experiment.case, problem.keys, points), strict=True):
+            for i, case in zip(
+                numbers, cases_at(experiment.case, problem.keys, points), strict=True
+            ):
                 if isinstance(case, HistoryError):
                     rows[i] = case
                 else:
@@ -225,7 +231,9 @@ class Readings:
                 rows[i] = HistoryError(reason_of(error))
         readers = {test: Reader(experiment) for test, experiment in tests.items()}
         grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
-        paces = {test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()}
+        paces = {
+            test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()
+        }
         for numbers in groups.values():
             owners = [entries[i][0] for i in numbers]
             parts = computed(
@@ -251,20 +259,21 @@ class Readings:
         low, high = self.problem.unknown_bounds
         step = _DIFFERENCE * (high - low)
         points = [
-            np.vstack([at, np.minimum(at + np.diag(step), high), np.maximum(at - np.diag(step), low)])
+            np.vstack(
+                [at, np.minimum(at + np.diag(step), high), np.maximum(at - np.diag(step), low)]
+            )
             for at in x
         ]
         blocks = self(list(enumerate(points)))
         m = x.shape[1]
         slopes = [
-            (y[1 : m + 1] - y[m + 1 :]).T
-            / (np.diag(at[1 : m + 1]) - np.diag(at[m + 1 :]))
+            (y[1 : m + 1] - y[m + 1 :]).T / (np.diag(at[1 : m + 1]) - np.diag(at[m + 1 :]))
             for at, y in zip(points, blocks, strict=True)
         ]
         return [y[0] for y in blocks], slopes
 
     def history(self, test: int, unknowns: FloatArray) -> Result:
-        """Return the history of a test at unknowns (m,); HistoryError for none. By this rank alone."""
+        """Return the history of a test at unknowns (m,), or raise HistoryError. By this rank."""
         experiment, values = self.problem.experiments[test], self.problem.values(unknowns)[None]
         (case,) = cases_at(experiment.case, self.problem.keys, values)
         if isinstance(case, HistoryError):
@@ -293,7 +302,9 @@ class Readings:
             pressed = force > 0.0
             at = time[pressed]
             radius = torque[pressed] / (in_time(friction, at) * force[pressed])
-            experiments[number] = test.with_radius(Table(tuple(at.tolist()), tuple(radius.tolist())))
+            experiments[number] = test.with_radius(
+                Table(tuple(at.tolist()), tuple(radius.tolist()))
+            )
         return self.problem.with_experiments(tuple(experiments))
 
 
@@ -304,7 +315,10 @@ def _alike(a: Experiment, b: Experiment) -> bool:
     if a.conditions != b.conditions or a.inputs or b.inputs or len(a.series) != len(b.series):
         return False
     return all(
-        s.quantity == t.quantity and s.at == t.at and s.density == t.density and np.array_equal(s.x, t.x)
+        s.quantity == t.quantity
+        and s.at == t.at
+        and s.density == t.density
+        and np.array_equal(s.x, t.x)
         for s, t in zip(a.series, b.series, strict=True)
     )
 
