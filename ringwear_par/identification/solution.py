@@ -216,7 +216,7 @@ class _Search:
         return False
 
     def emulate(self, tried: _Tried) -> None:
-        """Make emulators in the boxes of the draws, and take the power up to which they are right."""
+        """Make emulators in the boxes of the draws, and find the power up to which they hold."""
         readings, problem, layout = self.readings, self.readings.problem, self._layout
         self._likelihoods = self._at_settings()
         same_as, x = readings.same_as, self._x
@@ -272,7 +272,7 @@ class _Search:
         )  # fmt: skip
 
     def _weigh(self) -> str:
-        """Weigh draws by true histories, and return a sentence; ComputationError where few count."""
+        """Weigh draws by true histories and say so, or ComputationError where few count."""
         problem, random = self.readings.problem, self._random
         rows = random.choice(len(self._draws), _WEIGHED, replace=False)
         x = self._layout.of_tests(self._draws[rows])
@@ -285,8 +285,8 @@ class _Search:
         table = np.column_stack([np.minimum(np.abs(logs), 1e3), x.mean(axis=1)])
         key = problem.keys[int(np.nanargmax(np.abs(np.corrcoef(table.T)[0, 1:])))]
         sentence = (
-            f"readings of {problem.experiments[self._worst].name} are no smooth functions of "
-            f"{key}: draws were weighed by {_WEIGHED} histories, and are worth {self._effective:.0f}"
+            f"readings of {problem.experiments[self._worst].name} are no smooth functions of {key}: "
+            f"draws were weighed by {_WEIGHED} histories, and are worth {self._effective:.0f}"
         )
         if not self._effective > _LEAST:
             raise ComputationError(
