@@ -285,7 +285,7 @@ class _Search:
         table = np.column_stack([np.minimum(np.abs(logs), 1e3), x.mean(axis=1)])
         key = problem.keys[int(np.nanargmax(np.abs(np.corrcoef(table.T)[0, 1:])))]
         sentence = (
-            f"readings of {problem.experiments[self._worst].name} are no smooth functions of {key}: "
+            f"readings of {problem.experiments[self._worst].name} do not follow {key} smoothly: "
             f"draws were weighed by {_WEIGHED} histories, and are worth {self._effective:.0f}"
         )
         if not self._effective > _LEAST:
