@@ -19,9 +19,9 @@ from ringwear_par.errors import legible
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, write_outcome
 from ringwear_par.files.text import toml_value
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
-from ringwear_par.identification.test_design.design import DesignResult
-from ringwear_par.identification.test_design.design_numbers import spreads
+from ringwear_par.identification.design.candidates import LOADS, Candidate, last_profiles
+from ringwear_par.identification.design.design import DesignResult
+from ringwear_par.identification.design.design_numbers import spreads
 from ringwear_par.pictures.style import picture
 
 FILES = (DESIGN, NEXT, MAP)
@@ -44,7 +44,13 @@ def next_tests(design: DesignResult) -> str:
     """Return the best design as tables that may follow those of its fit file."""
     problem, best = design.problem, design.designs[0]
     measured = problem.experiments[0].table
-    tables = _tables(problem.experiments[0].series, measured["data"])
+    template = problem.experiments[0].series
+    last = last_profiles(template).values()
+    tables = {
+        s.quantity if s.profile else s.name: table
+        for s, table in zip(template, measured["data"], strict=True)
+        if not s.profile or s in last
+    }
     taken = {experiment.name for experiment in problem.experiments}
     names = (name for i in itertools.count(1) if (name := f"next {i}") not in taken)
     lines = [
@@ -61,27 +67,10 @@ def next_tests(design: DesignResult) -> str:
             "", "[[experiment]]", f"name = {toml_value(name)}",
             "set = " + toml_value(changes),
         ]  # fmt: skip
-        for series in test.experiment.series:
-            planned = _planned(series, tables[_common_name(series)])
+        for series in (test.experiment.series[i] for i in test.series):
+            planned = _planned(series, tables[series.quantity if series.profile else series.name])
             lines += ["  [[experiment.data]]", *(f"  {line}" for line in planned)]
     return "\n".join(lines) + "\n"
-
-
-def _tables(
-    every: Sequence[Series], data: Sequence[Mapping[str, Any]]
-) -> dict[str, Mapping[str, Any]]:
-    """Return the tables of the fit file as which readings of candidates are measured."""
-    last = last_profiles(every)
-    return {
-        _common_name(series): table
-        for series, table in zip(every, data, strict=True)
-        if not series.profile or series is last[series.quantity]
-    }
-
-
-def _common_name(series: Series) -> str:
-    """Return the name that a series shares with those of candidates measured like it."""
-    return series.quantity if series.profile else series.name
 
 
 def _set_of(
