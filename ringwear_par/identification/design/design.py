@@ -4,8 +4,10 @@ The information of tests adds, nuisances of each being projected out, so that m 
 candidate, at a few draws of what is known, tell what every combination of them would.
 """
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,7 +29,6 @@ from ringwear_par.identification.design.candidates import (
     count_of,
 )
 from ringwear_par.identification.design.information import Before, before_tests, informations
-from ringwear_par.identification.design.search import Candidates, Design
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.execution.stop_signals import StopSignals
@@ -35,29 +36,44 @@ from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
-_ROOM = "ringwear_par.identification.design"
+_FOLDER = "ringwear_par.identification.design.design_folder"
+#: designs that are listed; combinations whose scores are computed together
+_LISTED, _AT_ONCE = 10, 50_000
+#: share of the sd that bounds alone leave, below which a key of which nothing else was known is
+#: identified
+_IDENTIFIED = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Tests to make together, and what they would tell."""
+
+    #: their candidates, by number
+    tests: tuple[int, ...]
+    #: by the criterion, larger is better
+    score: float
+    #: bits, information on all keys: one bit halves one sd
+    gain: float
+    #: (m,) predicted standard deviations of the keys' values; infinite: not identified
+    sd: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class DesignResult(Outcome):
-    """The result of ``design``, with a fixed set of names in ``to_dict``."""
+    """The result of ``design``: all tests that could be made, and what any of them would tell."""
 
-    functions: ClassVar = {
-        "summary": f"{_ROOM}.design_numbers", "to_dict": f"{_ROOM}.design_numbers",
-        "save": f"{_ROOM}.design_folder", "plot": f"{_ROOM}.design_numbers",
-    }  # fmt: skip
+    functions: ClassVar = dict.fromkeys(("summary", "to_dict", "save", "plot"), _FOLDER)
 
     #: the fit
     problem: Problem
-    #: what was compared
-    every: Candidates
-    #: the best ones, the best first
-    designs: tuple[Design, ...]
-    #: what is known without further tests, and after those of the fit file
-    today: Design
-    planned: Design
-    #: (rows, count) numbers of tests that were compared together, the best first
-    compared: IntArray
+    #: what is known before
+    before: Before
+    #: (c,) tests that have histories
+    candidates: tuple[Candidate, ...]
+    #: (c, d, m, m) information in each about the unknowns of the material, at each draw
+    information: FloatArray
+    #: what the tests of the fit file would tell
+    planned_information: FloatArray
     #: folder of the earlier fit that counts, "" for none
     after: str
     #: tests that have no history, and why the first one has none
@@ -73,19 +89,94 @@ class DesignResult(Outcome):
         return f"<DesignResult: {tests}>"
 
     @property
-    def candidates(self) -> tuple[Candidate, ...]:
-        """All tests (c,) that have histories."""
-        return (*self.every.tests,)
+    def today(self) -> Design:
+        """What is known without further tests."""
+        return self.design(np.zeros_like(self.planned_information))
 
     @property
-    def nominal(self) -> FloatArray:
-        """(m,) values of the keys, as they seem to be."""
-        return self.every.before.values
+    def planned(self) -> Design:
+        """What is known after the tests of the fit file."""
+        return self.design(self.planned_information)
 
     @property
     def single(self) -> FloatArray:
-        """(c, m) predicted standard deviations after each of them alone."""
-        return self.every.sds(self.every.information)
+        """(c, m) predicted standard deviations after each candidate alone."""
+        return self.sds(self.information)
+
+    def scores(self, tests: IntArray) -> FloatArray:
+        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time.
+
+        Larger is better. Of "D" the logarithm of how much smaller the ellipsoid becomes, of "A"
+        minus the mean variance, over the widths of bounds; means over the draws.
+        """
+        seconds = np.array([test.seconds for test in self.candidates])
+        scores = np.full(len(tests), -np.inf)
+        within = np.flatnonzero(seconds[tests].sum(axis=1) <= self.problem.design.time_limit)
+        for rows in np.array_split(within, len(within) // _AT_ONCE + 1):
+            scores[rows] = self._score(sum(self.information[column] for column in tests[rows].T))
+        return scores
+
+    def _gain(self, information: FloatArray) -> FloatArray:
+        precision = np.linalg.inv(self.before.covariance)
+        gain = np.linalg.slogdet(precision + information)[1] - np.linalg.slogdet(precision)[1]
+        return 0.5 * gain.mean(axis=-1)
+
+    def _score(self, information: FloatArray) -> FloatArray:
+        if self.problem.design.criterion == "D":
+            return self._gain(information)
+        low, high = self.problem.unknown_bounds
+        return -np.square(self._sd(information) / (high - low)).mean(axis=-1)
+
+    def _sd(self, information: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of unknowns by information (..., d, m, m)."""
+        covariance = np.linalg.inv(np.linalg.inv(self.before.covariance) + information)
+        sd: FloatArray = np.sqrt(np.diagonal(covariance.mean(axis=-3), axis1=-2, axis2=-1))
+        return sd
+
+    def design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
+        """Return the design of tests that have information (d, m, m) together."""
+        score, gain = float(self._score(information)), float(self._gain(information))
+        return Design((*tests,), score, gain / np.log(2.0), self.sds(information))
+
+    def sds(self, information: FloatArray) -> FloatArray:
+        """Return predicted standard deviations (..., m) of values by information (..., d, m, m)."""
+        sd = self._sd(information)
+        most = _IDENTIFIED * np.sqrt(np.diag(self.before.covariance))
+        lost = self.before.unknown & (sd > most)
+        return np.where(lost, np.inf, sd * self.problem.slopes(self.before.values))
+
+    @cached_property
+    def designs(self) -> tuple[Design, ...]:
+        """The best designs that differ in more than durations and instants, the best first.
+
+        All of one or two tests are looked at. Of more, tests are added to the best pair that leaves
+        time for them, then each is exchanged, until none is better.
+        """
+        count, every = self.problem.design.experiments, np.arange(len(self.candidates))
+        tests = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
+        if count > 2:
+            shortest = min(every, key=lambda i: self.candidates[i].seconds)
+            filled = np.column_stack([tests, np.full((len(tests), count - 2), shortest)])
+            chosen = filled[self.scores(filled).argmax()]
+            looked, before, score = [chosen[None]], -np.inf, -1e300
+            while score > before:
+                before = score
+                for place in [*range(2, count), 0, 1]:
+                    looked.append(np.tile(chosen, (len(every), 1)))
+                    looked[-1][:, place] = every
+                    scores = self.scores(looked[-1])
+                    chosen, score = looked[-1][scores.argmax()], float(scores.max())
+            tests = np.unique(np.sort(np.concatenate(looked), axis=1), axis=0)
+        scores = self.scores(tests)
+        designs: dict[Hashable, Design] = {}
+        for row in np.argsort(-scores, kind="stable").tolist():
+            if len(designs) == _LISTED or scores[row] == -np.inf:
+                break
+            chosen = tests[row]
+            kinds = tuple(sorted(self.candidates[i].kind for i in chosen))
+            if kinds not in designs:
+                designs[kinds] = self.design(self.information[chosen].sum(axis=0), chosen.tolist())
+        return (*designs.values(),)
 
 
 def design(
@@ -141,30 +232,24 @@ def design(
 
     def lead() -> DesignResult:
         information = informations(readings, before, own, parts)
-        good = np.isfinite(information).all(axis=(1, 2, 3))
+        good, space = np.isfinite(information).all(axis=(1, 2, 3)), problem.design
         if not good[:own].all():
             name = whole[int(np.argmin(good))].name
             raise ComputationError(f'{problem.name}: experiment "{name}": {readings.reason}')
-        left = [test for test, has in zip(tests, good[own:], strict=True) if has]
-        failed = tuple(test for test, has in zip(tests, good[own:], strict=True) if not has)
-        space = problem.design
+        left = tuple(itertools.compress(tests, good[own:]))
+        failed = tuple(itertools.compress(tests, ~good[own:]))
         shortest = min((test.seconds for test in left), default=np.inf)
-        if shortest * space.experiments > space.time_limit:
+        if shortest * space.experiments > space.time_limit or not left:
             raise ComputationError(
                 f"{problem.name}: design: {len(failed)} of {len(tests)} tests cannot be computed, "
                 f"which leaves too few: {readings.reason}"
             )
-        every = Candidates(problem, before, left, information[own:][good[own:]])
-        compared = every.best(space.experiments)
-        best = [
-            every.design(every.information[compared[row]].sum(axis=0), compared[row].tolist())
-            for row in every.listed(compared)
-        ]
-        today, planned = np.zeros_like(information[0]), information[:own].sum(axis=0)
-        return DesignResult(
-            problem, every, tuple(best), every.design(today), every.design(planned), compared,
+        found = DesignResult(
+            problem, before, left, information[own:][good[own:]], information[:own].sum(axis=0),
             str(after or ""), failed, readings.reason, readings.count, versions(),
         )  # fmt: skip
+        assert found.designs  # once, on this rank
+        return found
 
     return readings.lead(lead)
 
