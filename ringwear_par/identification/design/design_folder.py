@@ -113,9 +113,9 @@ def _map(found: DesignResult) -> dict[str, Any] | None:
     scores, (unit, length) = found.scores(rows), time_unit(seconds[-1])
     sd: dict[str, list[list[Any]]] = {key: [[None] * len(loads) for _ in seconds] for key in keys}
     for row in np.argsort(scores, kind="stable").tolist():  # the best one of a cell stays
-        test = tests[plain[row]]
-        for key, value in zip(keys, found.sds(found.information[rows[row]].sum(axis=0)), strict=True):
-            told = float(value) if np.isfinite([value, scores[row]]).all() else None
+        test, sds = tests[plain[row]], found.sds(found.information[rows[row]].sum(axis=0)).tolist()
+        for key, value in zip(keys, sds, strict=True):
+            told = value if np.isfinite([value, scores[row]]).all() else None
             sd[key][seconds.index(test.seconds)][loads.index(test.loads[0])] = told
     load = "mean pressure (MPa)" if "load.pressure" in tests[best[-1]].keys else "force (N)"
     return {
@@ -256,7 +256,8 @@ def next_tests(found: DesignResult) -> str:
         loads = {*LOADS, "load.displacement"} if test.loads else set()
         settings = flatten(measured.get("set", {}), "set")
         changes = {k: v for k, v in settings.items() if k not in loads} | changes
-        lines += ["", "[[experiment]]", f"name = {toml_value(name)}", f"set = {toml_value(changes)}"]
+        lines += ["", "[[experiment]]", f"name = {toml_value(name)}"]
+        lines.append(f"set = {toml_value(changes)}")
         for series in (test.experiment.series[i] for i in test.series):
             table = tables[series.quantity if series.profile else series.name]
             planned = [f"{k} = {toml_value(v)}" for k, v in _planned(series, table).items()]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.units import factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
@@ -55,7 +55,7 @@ class Before:
     #: mm, of the random wear of "wear.lower", "wear.upper", where it is known
     sizes: Mapping[str, float]
     #: (m,) whether nothing is known but bounds
-    unknown: FloatArray
+    unknown: BoolArray
 
 
 def before_tests(problem: Problem, folder: Path | None) -> tuple[Problem, Before]:

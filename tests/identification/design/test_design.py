@@ -18,12 +18,13 @@ from ringwear_par.identification.design.candidates import candidates
 from ringwear_par.identification.design.design import run_design
 from ringwear_par.identification.design.design_folder import next_tests
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.readings import nuisance_columns
+from ringwear_par.identification.readings import growth, nuisance_columns
 from ringwear_par.results.execution.stop_signals import StopSignals
 
 K, P0 = TRUTH
 VARY = {"load.pressure": [40.0, 96.0]}
 ARCHARD = {"wear.lower.law": "archard"}
+WARM = {"time": {"start": "25 s", "bounds": ["5 s", "200 s"]}}
 #: g, and of log k
 SD_MASS, SD_PRIOR = 2e-5, 0.2
 
@@ -90,9 +91,7 @@ def test_one_weighing_in_closed_form(weighings, comm):
 
 def test_only_the_number_of_specimens_matters(weighings, comm):
     """Of specimens that differ by 20 % two leave 14 %, whatever their tests are."""
-    two, five = (
-        rw.design(weighings(count, key={"scatter": 0.2}), comm) for count in (2, 5)
-    )
+    two, five = (rw.design(weighings(count, key={"scatter": 0.2}), comm) for count in (2, 5))
     for count, found in ((2, two), (5, five)):
         assert found.designs[0].sd[0] == pytest.approx(1e-7 * 0.2 / np.sqrt(count), rel=0.01)
         assert "only their number matters" in found.summary()
@@ -111,11 +110,16 @@ def test_random_wear_counts(weighings, comm):
     assert found.designs[0].sd[0] == pytest.approx(1e-7 * np.sqrt(variance), rel=0.01)
 
 
-@pytest.mark.parametrize("criterion", ["D", "A"])
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_the_best_tests_by_brute_force(tables, comm, count, criterion):
+@pytest.mark.parametrize(
+    ("count", "criterion", "warm"),
+    [(1, "D", True), (2, "A", False), (3, "D", False), (3, "A", False)],
+)
+def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
     """Of all combinations, by Jacobians and covariances of readings with all nuisances."""
-    found = rw.design(tables(criterion=criterion, experiments=count), comm)
+    source = tables(criterion=criterion, experiments=count)
+    if warm:  # the rig grows
+        source["experiment"][0]["data"][0]["nuisance"]["thermal"] = WARM
+    found = rw.design(source, comm)
     tests = tuple(test.experiment for test in found.candidates)
     readings = Readings(replace(found.problem, experiments=tests), comm, StopSignals())
     x = np.tile(found.problem.unknowns([*TRUTH.values()]), (len(tests), 1))
@@ -126,6 +130,9 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion):
         for series in test.series:
             added = nuisance_columns(series, test.case)
             sds = [1e3 if n.prior is None else n.prior.sd for n in series.linear_nuisances]
+            if series.growth_time:
+                grown = growth(series.growth_time, test.case, series.x, 25.0)
+                added, sds = np.column_stack([added, grown]), [*sds, 1e3]
             covariance = np.diag(series.sd**2) + (added * np.square(sds)) @ added.T
             part = columns[start : (start := start + series.n)]
             matrix += part.T @ np.linalg.solve(covariance, part)
@@ -133,9 +140,8 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion):
     combinations = itertools.combinations_with_replacement(each, count)
     covariances = [np.linalg.inv(np.diag(12.0 / widths**2) + sum(c)) for c in combinations]
     size = np.linalg.det if criterion == "D" else lambda c: np.trace(c / np.outer(widths, widths))
-    best = min(covariances, key=size)
-    slope = np.array([TRUTH[K], 1.0])
-    assert found.designs[0].sd == pytest.approx(np.sqrt(np.diag(best)) * slope, rel=2e-3)
+    best = np.sqrt(np.diag(min(covariances, key=size))) * [TRUTH[K], 1.0]
+    assert found.designs[0].sd == pytest.approx(best, rel=2e-3)
 
 
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
@@ -152,7 +158,7 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     spread = np.std(draws.material, axis=0, ddof=1)
     assert found.today.sd == pytest.approx(spread * [found.before.values[0], 1.0])
     assert len(found.before.draws) == 6
-    assert (found.problem.experiments[0].series[0].sd == pytest.approx(5e-4))
+    assert found.problem.experiments[0].series[0].sd == pytest.approx(5e-4)
     assert (found.designs[0].sd < found.today.sd).all()
     other = tables()
     other["fit"]["parameters"].pop(P0)
