@@ -211,7 +211,7 @@ def parser() -> argparse.ArgumentParser:
     a.flag("--compare", "fit the laws of [compare] as well")
     a = command(
         "design", "choose the most informative next tests, from [design] of a fit file",
-        "identification.test_design.design:run_design",
+        "identification.design.design:run_design",
         "ringwear design fit.toml -o out/plan --after out/fit", "solves")
     a.fit_file()
     a.path("--after", metavar="DIR", help="folder of a fit, whose measurements count as well")
