@@ -1,172 +1,122 @@
-"""When readings to come tell enough, when a depth is reached, and whether readings fit in."""
+"""When readings to come will tell enough, and when a depth is reached."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2, norm
 
-from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
-from ringwear_par.identification.scatter.likelihood import LinearisedTest, uncorrelated
-from ringwear_par.identification.scatter.linearisation import projected_precision
-from ringwear_par.monitoring.bank import Bank, rows_of
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.likelihood import TestLikelihood
+from ringwear_par.monitoring.follower import Follower, Specimen, part_of, times_of
 from ringwear_par.prediction.prediction import times_at
 
-#: most readings of a record that are planned to the end, and times at which intervals are looked at
+#: most readings of a record that are planned to the end; times that a goal may be reached at
 _PLANNED, _TIMES = 300, 60
-#: over what readings say: nothing is known of a free nuisance before
-_VAGUE = 1e-8
-#: draws for the time to a depth, and their seed
-_DRAWS, _SEED = 2000, 1
+#: draws for the time to a depth
+_DRAWS = 2000
 
 
-def times_of(problem: Problem) -> FloatArray:
-    """Return the times (n,) s of all readings of a running test."""
-    return np.concatenate([series.x for series in problem.experiments[0].series])
+def time_to_goal(
+    follower: Follower, found: Specimen, test: Experiment, key: int, ratio: float, now: float
+) -> tuple[float | None, float]:
+    """Return when the sd of a key is so much less, s, or None; and how much less at the end.
 
-
-def surprise(
-    bank: Bank, test: LinearisedTest, weights: FloatArray, old: BoolArray, new: BoolArray
-) -> float:
-    """Return how probable it is that new readings are so far from what old ones lead to expect.
-
-    Parameters
-    ----------
-    weights : (draws,) by the old readings; old, new : (n,) which they are.
-    """
-    covariance = np.eye(len(test.readings))
-    for size, kernel in zip(bank.sizes(weights), test.process, strict=True):
-        covariance += size * kernel
-    columns = test.nuisances
-    known = test.prior_rows.T @ test.prior_rows + _VAGUE * np.diag(
-        (columns**2).sum(axis=0) + _VAGUE
-    )
-    expected = np.linalg.solve(known, test.prior_rows.T @ test.prior_values)
-    covariance += columns @ np.linalg.solve(known, columns.T)
-    has_history = np.isfinite(bank.draws.coordinates).all(axis=1)
-    coordinates, share = bank.draws.coordinates[has_history], weights[has_history]
-    mean = share @ coordinates
-    spread = (share[:, None] * (coordinates - mean)).T @ (coordinates - mean)
-    rest = test.readings - test.jacobian @ mean - columns @ expected
-    gain = cho_solve(
-        cho_factor(covariance[np.ix_(old, old)], lower=True), covariance[np.ix_(old, new)]
-    )
-    jacobian = test.jacobian[new] - gain.T @ test.jacobian[old]
-    variance = covariance[np.ix_(new, new)] - covariance[np.ix_(new, old)] @ gain
-    variance += jacobian @ spread @ jacobian.T
-    off = rest[new] - gain.T @ rest[old]
-    return float(chi2.sf(off @ np.linalg.solve(variance, off), len(off)))
-
-
-def widths(
-    bank: Bank, problem: Problem, weights: FloatArray, key: int, level: float, now: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return times from now to the end, s, and the relative half width of a key's interval there.
-
-    Records go on at their rate; histories are linearised in the keys.
+    Records go on at their rate; histories are linear in the keys, by regression on the draws.
 
     Parameters
     ----------
     key : its number.
-    now : s, of the last reading that counts.
+    ratio : of the sd that is wished over that by the readings (n,) of the test until now.
     """
-    (experiment,), end = problem.experiments, problem.experiments[0].case.time.end
-    series = tuple(_to_end(record, end) for record in experiment.series)
-    plan = replace(problem, experiments=(replace(experiment, series=series),))
-    times = times_of(plan)
-    order = np.argsort(times, kind="stable")
-    test = rows_of(bank.linearised(plan)[0], order)
-    slopes = _slopes(bank, weights)
-    alone = uncorrelated(test, bank.sizes(weights))[0]
-    rows, m = np.column_stack([alone.jacobian @ slopes, alone.nuisances]), slopes.shape[1]
-    prior = np.zeros((rows.shape[1], rows.shape[1]))
-    prior[:m, :m] = np.linalg.inv(bank.prior_covariance)
-    prior[m:, m:] = test.prior_rows.T @ test.prior_rows
-    at = np.linspace(now, end, _TIMES)
-    sds = []
-    for time in at:
-        before = rows[: int(np.searchsorted(times[order], time, side="right"))]
-        information = prior + before.T @ before
-        sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
-    half = float(norm.ppf(0.5 + 0.5 * level)) * np.array(sds)
-    if problem.parameters[key].log:
-        return at, np.sinh(half)
-    return at, half / abs(float(weights @ bank.draws.unknowns[:, key]))
+    end = test.case.time.end
+    planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
+    root, rows = np.sqrt(found.weights)[:, None], np.flatnonzero(found.weights > 0.0)
+    x = found.unknowns[:, : follower.m] - found.weights @ found.unknowns[:, : follower.m]
+    columns = np.column_stack([x, np.ones(len(x))])
+    slopes = np.linalg.lstsq((root * columns)[rows], (root * found.coordinates)[rows], rcond=None)[0]
+    by_key = slopes[:-1] @ follower.histories.emulator.modes
+    before = follower.before.unknowns[:, : follower.m]
+    known = np.linalg.inv(np.atleast_2d(np.cov(before.T)))
+    times = times_of(planned)
+
+    def sd_at(time: float) -> float:
+        part = part_of(planned, times <= time * (1.0 + 1e-9))
+        information = known.copy()
+        if part.series:
+            setting = follower.setting_like(found, part)
+            likelihood = TestLikelihood(part, setting, found.shares)
+            jacobian = follower.histories.read(by_key.T, part)
+            for noise, growth in likelihood.noises:
+                white = noise(jacobian[noise.rows])
+                taken = growth.directions(white, np.zeros(white.shape[1]))[len(growth.times) // 2]
+                information += white.T @ white - taken.T @ taken
+        return float(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
+
+    at, first = np.linspace(now, end, _TIMES), sd_at(now)
+    return _first(at, lambda time: sd_at(time) <= ratio * first), sd_at(end) / first
+
+
+def _first(at: FloatArray, reached: Callable[[float], bool]) -> float | None:
+    """Return the first of some times at which something is reached, and then stays so."""
+    if not reached(float(at[-1])):
+        return None
+    low, high = -1, len(at) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if reached(float(at[middle])) else (middle, high)
+    return float(at[high])
 
 
 def _to_end(series: Series, end: float) -> Series:
     """Return a record that goes on at its rate to the end of the test; what is read once stays."""
-    if series.n < 2 or series.x[-1] >= end:
+    if series.profile or series.n < 2 or series.x[-1] >= end or series.censored is not None:
         return series
     apart = float(np.median(np.diff(series.x)))
-    count = min(int(end / apart), _PLANNED)
-    x = end * np.arange(1, count + 1) / max(count, 1)
+    more = np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart)
     # fewer readings stand for all; those of correlated noise tell no more where they are many
-    fewer = 1.0 if series.correlation_time else np.sqrt(apart / (end / max(count, 1)))
-    return replace(
-        series, x=x, value=np.zeros(count), sd=np.full(count, series.sd[-1] * fewer), lines=None
-    )
+    every = -(-len(more) // _PLANNED)
+    fewer = 1.0 if series.correlation_time else np.sqrt(max(every, 1))
+    x = np.append(series.x, more[::-1][:: every or 1][::-1])
+    sd = np.append(series.sd, np.full(len(x) - series.n, series.sd[-1] / fewer))
+    return replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None)
 
 
-def _slopes(bank: Bank, weights: FloatArray) -> FloatArray:
-    """Return derivatives (modes, m) of the coordinates of histories with respect to unknowns."""
-    has_history = np.isfinite(bank.draws.coordinates).all(axis=1) & (weights > 0.0)
-    root = np.sqrt(weights[has_history])[:, None]
-    unknowns = bank.draws.unknowns[has_history] - weights @ bank.draws.unknowns
-    columns = np.column_stack([unknowns, np.ones(len(unknowns))])
-    coordinates = bank.draws.coordinates[has_history]
-    solution = np.linalg.lstsq(root * columns, root * coordinates, rcond=None)[0]
-    slopes: FloatArray = solution[:-1].T
-    return slopes
-
-
-def time_to(
-    bank: Bank, problem: Problem, weights: FloatArray, depth: float, counted: BoolArray
-) -> FloatArray:
+def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> FloatArray:
     """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
 
-    Wear that is random goes on from what the readings tell of it.
+    Wear that is random goes on from what the readings tell of it: of the wear so far, the excess
+    over its mean is normal given the readings; later wear is random anew.
 
     Parameters
     ----------
-    counted : (n,) which of the readings do.
+    now : s, of the last reading.
     """
-    random, case = np.random.default_rng(_SEED), problem.experiments[0].case
-    chosen = random.choice(len(weights), _DRAWS, p=weights)
-    coordinates = bank.draws.coordinates[chosen]
-    modes, time = bank.histories.modes(), bank.histories.time
-    approach = modes.approach - modes.approach[0]
-    depths = approach[:, 0] + coordinates @ approach[:, 1:].T
-    if not problem.settings.process:
-        return times_at(time, depths, depth)
-    whole, misfit, x = bank.linearised(problem)
-    test = rows_of(whole, counted)
-    now = float(times_of(problem)[counted].max(initial=0.0))
-    sizes = bank.sizes(weights)
-    precision = projected_precision(test, sizes, np.zeros((coordinates.shape[1],) * 2))
-    n = len(test.readings)
-    rest = np.column_stack([np.tile(test.readings, (_DRAWS, 1)) - coordinates @ test.jacobian.T,
-                            np.tile(test.prior_values, (_DRAWS, 1))])  # fmt: skip
-    answers, worn = misfit.clocks(x)
-    for number, (key, size) in enumerate(zip(problem.settings.process, sizes, strict=True)):
-        body = BODIES.index(body_of_wear(key))
-        mean_depth = (
-            modes.volume[body, :, 0] + coordinates @ modes.volume[body, :, 1:].T
-        ) / case.area
-        across = np.zeros(n + len(test.prior_values))
-        across[:n] = size * misfit.whitened(answers[:, number] * worn[:, number])[counted]
-        at_now = np.array([np.interp(now, time, row) for row in mean_depth])
-        excess = rest @ (precision @ across)
-        variance = np.maximum(size * at_now - across @ precision @ across, 0.0)
-        excess += np.sqrt(variance) * random.standard_normal(_DRAWS)
-        increments = np.diff(
-            np.maximum(mean_depth, at_now[:, None]), axis=1, prepend=at_now[:, None]
-        )
-        steps = np.sqrt(size * np.maximum(increments, 0.0)) * random.standard_normal(
-            increments.shape
-        )
+    histories, coordinates = follower.histories, found.chosen(_DRAWS)
+    plan, time = histories.plan, histories.time
+    random = np.random.default_rng(1)
+    both = np.column_stack([histories.emulator.mean, histories.emulator.modes.T])
+    v = np.column_stack([np.ones(len(coordinates)), coordinates])
+    approach = histories.quantities(plan, both)["all approach"]
+    depths = v @ (approach - approach[0]).T
+    for body, key in enumerate(follower.problem.settings.process):
+        worn, most = v @ histories.depth(plan, both, key).T, histories.depths[body]
+        size = found.shares[body] ** 2 * most
+        at_now = np.array([np.interp(now, time, row) for row in worn])
+        excess, variance = np.zeros(len(v)), size * at_now
+        if found.likelihood is not None:
+            likelihood, emulator = found.likelihood.likelihood, found.likelihood.emulator
+            ((noise, growth),), clock = likelihood.noises, likelihood.setting.clocks[body]
+            readings = emulator.mean + coordinates @ emulator.modes
+            node = int(np.argmax(likelihood.by_node(readings)[0].sum(axis=1)))
+            rows = noise.data(likelihood.data)[:, None] - readings.T
+            both_rows = noise(np.column_stack([size * clock[0] * clock[1], rows]))
+            taken = growth.directions(both_rows, np.append(0.0, np.ones(len(v))))[node]
+            along = both_rows.T @ both_rows[:, 0] - taken.T @ taken[:, 0]
+            excess, variance = along[1:], np.maximum(variance - along[0], 0.0)
+        excess = excess + np.sqrt(variance) * random.standard_normal(len(v))
+        later = np.diff(np.maximum(worn, at_now[:, None]), axis=1, prepend=at_now[:, None])
+        steps = np.sqrt(size * np.maximum(later, 0.0)) * random.standard_normal(later.shape)
         share = np.minimum(time / now, 1.0) if now > 0.0 else np.ones(len(time))
         depths = depths + share * excess[:, None] + np.cumsum(steps, axis=1)
     return times_at(time, depths, depth)
