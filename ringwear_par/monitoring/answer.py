@@ -82,8 +82,8 @@ class Answer:
     effective_count: float
     #: how often they were made anew
     redraws: int
-    #: relative error of histories; None: all draws were stepped
-    interpolated: float | None
+    #: error of histories between those that were computed, over their spread among the draws
+    interpolated: float
     doubts: tuple[str, ...]
     #: probability of each law before the test and by the readings, by name; empty: one law only
     laws: Mapping[str, tuple[float, float]]
@@ -116,8 +116,8 @@ class Answer:
             return "reached"
         return f"in {self._at(self.goal.time - self.time)}"
 
-    def lines(self) -> list[str]:
-        """Return the answer in lines of text."""
+    def lines(self, *, warnings: bool = True) -> list[str]:
+        """Return the answer in lines of text, with or without warnings."""
         goal, share = self.goal, f"{100 * self.level:g} %"
         lines = [f"{self.test}: {counted(self.readings, 'reading')} to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
@@ -141,7 +141,7 @@ class Answer:
                 for law, (before, now) in self.laws.items()
             ]
             lines.append(f"  probability of laws: {', '.join(shares)}")
-        return [*lines, *(f"warning: {words}" for words in self.warnings)]
+        return [*lines, *(f"warning: {words}" for words in self.warnings if warnings)]
 
     def _at(self, time: float) -> str:
         return time_words(time, self.end)
@@ -198,7 +198,7 @@ class Answer:
             Tile("readings", "as expected" if self.alarm is None else "alarm",
                  note=f"{self.readings} to {self._at(self.time)}", good=self.alarm is None),
         ]  # fmt: skip
-        lines = [with_signs(line) for line in self.lines() if not line.startswith("warning: ")]
+        lines = [with_signs(line) for line in self.lines(warnings=False)]
         charts = [Chart("key", of_key, f"{goal.key} and its interval over the time of the test")]
         if self.laws:
             words = "Probability of each law over the time of the test"

@@ -187,6 +187,11 @@ def _plan(test: Experiment) -> Experiment:
     return replace(test, series=(*series, *fixed))
 
 
+def _fixed(test: Experiment) -> list[tuple[str, float | None, bytes]]:
+    """Return which readings of a test are not between steps."""
+    return [(s.name, s.at, s.x.tobytes()) for s in test.series if READING_KINDS[s.kind].values is None]
+
+
 @dataclass(frozen=True, eq=False)
 class Specimen:
     """Draws (s,) of the keys of the specimen under test, by its readings."""
@@ -239,6 +244,11 @@ class Follower:
         self.m, self._seed, self._readings = x.shape[1], seed, readings
         self._unknowns = np.column_stack([x, np.log(sizes[:, bodies])])
         self.prepare(problem)
+
+    def suits(self, problem: Problem) -> bool:
+        """Tell whether the histories are of a problem's case, and have all that is read of it."""
+        (test,), (before,) = problem.experiments, self.problem.experiments
+        return before.case.text == test.case.text and _fixed(test) == _fixed(before)
 
     def prepare(self, problem: Problem) -> None:
         """Compute histories anew: there are profiles, or measured inputs, that were not there."""
