@@ -99,7 +99,7 @@ class Emulator:
 
     box: Box
     degree: int
-    #: (p, r)
+    #: (p - 1, r) of all terms but the constant
     coefficients: FloatArray
     #: (n,) and (r, n), in the units of the readings
     mean: FloatArray
@@ -123,7 +123,7 @@ class Emulator:
 
     def coordinates(self, x: FloatArray) -> FloatArray:
         """Return the coordinates (..., r) along the modes at unknowns (..., m)."""
-        return self.box.polynomials(x, self.degree) @ self.coefficients
+        return self.box.polynomials(x, self.degree)[..., 1:] @ self.coefficients
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return readings (..., n) at unknowns (..., m)."""
@@ -184,6 +184,11 @@ def emulate(
     error, degree, terms, off = best
     coefficients = np.linalg.lstsq(terms, wanted, rcond=1e-12)[0]
     left_out[good] = readings - off / weights[:, None] @ modes * sd
+    # the first term is constant; the others make no more modes than there are
+    mean = mean + coefficients[0] @ modes * sd
+    left, values, turned = np.linalg.svd(coefficients[1:], full_matrices=False)
+    kept = max(int((values > _SMALL_MODE).sum()), 1)
+    coefficients, modes = left[:, :kept] * values[:kept], turned[:kept] @ modes
     lost = every if not good.all() else every[:0]
     emulator = Emulator(box, degree, coefficients, mean, modes * sd, error, lost, good)
     return emulator, left_out

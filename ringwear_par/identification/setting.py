@@ -54,22 +54,21 @@ def settings_at(
     problem = readings.problem
     predicted = [y[0] for y in readings([(i, x[None]) for i, x in enumerate(middle)])]
     clocks, depths = random_wear(readings, middle)
+    known = np.array(
+        [
+            np.nan if process.fitted else process.share or np.sqrt((process.size or 0.0) / depth)
+            for process, depth in zip(problem.settings.process.values(), depths, strict=True)
+        ]
+    )
+    shares = np.where(np.isnan(known), shares, known)
     settings = []
     for i, test in enumerate(problem.experiments):
         if not np.isfinite(predicted[i]).all():
             settings.append(old[i])
             continue
-        setting = replace(old[i], clocks=tuple(clocks[i]), scales=_scales(readings, i, middle))
-        if clocks[i]:
-            known = [p.share for p in problem.settings.process.values()]
-            sizes = [p.size for p in problem.settings.process.values()]
-            fixed = [
-                np.nan if share is None and size is None
-                else share if size is None
-                else np.sqrt(size / depth)
-                for share, size, depth in zip(known, sizes, depths, strict=True)
-            ]  # fmt: skip
-            setting = replace(setting, shares=np.array(fixed, dtype=float))
+        setting = replace(
+            old[i], clocks=tuple(clocks[i]), shares=known, scales=_scales(readings, i, middle)
+        )
         adapted = TestLikelihood(test, setting, shares).adapted(predicted[i], problem.settings.loss)
         settings.append(replace(adapted, sd=setting.sd) if first else adapted)
     return settings

@@ -17,6 +17,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
+from ringwear_par.identification.funnel import Funnel
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
 from ringwear_par.identification.posterior import Layout, Posterior
@@ -33,9 +34,9 @@ _GOOD = 0.005
 _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough, and that moves no key by more than
 #: 0.2 sd where steps are halved; share of draws at faces of boxes
-_RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.2, 2e-3
-#: effective number of draws
-_WANTED = 4000.0
+_RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
+#: effective number of draws while emulators are checked, and at the end
+_SOME, _WANTED = 1000.0, 4000.0
 #: largest error of log p by the power, in rms
 _TRUST = 0.3
 #: draws that are weighed by true histories where emulators cannot follow, and how many must count
@@ -159,12 +160,12 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
         power = max(power, _trusted(true, without - true, power))
         emulated = [EmulatedLikelihood(f, e) for f, e in zip(likelihoods, emulators, strict=True)]
         posterior = Posterior(problem, emulated, _known(settings))
-        draws, density, effective = draw(posterior, draws, density, power, random, 1000.0 * (power == 1.0))
+        draws, density, effective = _drawn(posterior, draws, density, power, random, _SOME * (power == 1.0))
     assert posterior is not None
     readings.tell("draws of the posterior")
     weighed = ""
     error = float(np.nanstd(off.sum(axis=0))) if off.size else np.inf
-    draws, density, effective = draw(posterior, draws, density, 1.0, random, _WANTED)
+    draws, density, effective = _drawn(posterior, draws, density, 1.0, random, _WANTED)
     if not error < _RIGHT:
         draws, density, effective, weighed = _weighed(readings, likelihoods, posterior, draws, density, off, random)
     evidence, evidence_error = log_evidence(posterior, draws)
@@ -173,6 +174,27 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
         problem, posterior, draws, effective, mode(posterior, draws, density), evidence, evidence_error,
         depths, error, steps_right, readings.steps, readings.count, readings.failed, readings.reason, weighed,
     )  # fmt: skip
+
+
+def _drawn(
+    posterior: Posterior,
+    draws: FloatArray,
+    density: FloatArray,
+    power: float,
+    random: np.random.Generator,
+    want: float,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return draws of a posterior, see ``draw``, in coordinates without funnels."""
+    funnel = Funnel(posterior, draws)
+
+    def log_p(flat: FloatArray, power: float) -> FloatArray:
+        theta, volume = funnel.theta(flat)
+        return posterior(theta, power) + volume
+
+    flat = funnel.flat(draws)
+    flat, logs, effective = draw(log_p, flat, density + funnel.theta(flat)[1], power, random, want)
+    theta, volume = funnel.theta(flat)
+    return theta, logs - volume, effective
 
 
 def _known(settings: Sequence[Setting]) -> FloatArray:
