@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -19,7 +19,6 @@ from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, wr
 from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.draws import NEXT, Draws
-from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.monitoring.answer import Answer
 from ringwear_par.monitoring.follower import Follower
@@ -91,8 +90,12 @@ def run_follow(
         return running, percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
-    fit = None if after is not None else fit_problem(on_first_rank(comm, running.other_tests), comm)
-    followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(after or fit)))
+    fit: Any = after
+    if after is None:
+        from ringwear_par.identification.fit import fit_problem
+
+        fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
+    followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
     command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])

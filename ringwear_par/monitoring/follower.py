@@ -311,7 +311,7 @@ class Follower:
     def _weighed(self, likelihood: EmulatedLikelihood) -> Specimen:
         """Return the draws by a likelihood, made anew where few are left."""
         random, before = np.random.default_rng(self._seed + 1), self.before
-        for count in (_SOME, len(before.unknowns)):
+        for count in (_SOME, 3 * _SOME, len(before.unknowns)):
             x, coordinates = before.unknowns[:count], before.coordinates[:count]
             log_l = self._log_p(likelihood, x, coordinates)
             if _effective(log_l) >= _ENOUGH:
