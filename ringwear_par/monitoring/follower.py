@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_t
 from scipy.stats import f as f_distribution
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import (
@@ -42,7 +42,7 @@ from ringwear_par.identification.setting import needs_middle, settings_at
 _HISTORIES = {1: 64, 2: 192, 3: 320}
 _MOST_HISTORIES = 448
 #: margin of the box of the draws; of the spread of a quantity: its scale, and error that is enough
-_MARGIN, _SCALE, _CLOSE = 0.02, 1e-3, 0.03
+_MARGIN, _SCALE, _CLOSE = 0.1, 1e-3, 0.03
 #: draws that are tried at first, and in one go; effective number that is enough
 _SOME, _ENOUGH = 10_000, 2000.0
 #: most rounds of new draws, their number, the share of them that is enough and that a power of the
@@ -110,7 +110,7 @@ class Histories:
         root = np.linalg.cholesky(np.atleast_2d(np.cov(x.T)))
         distance = np.linalg.norm(np.linalg.solve(root, (points[good] - middle).T), axis=0)
         emulator, _ = emulate(box, points, y, _SCALE * sd, nearness(distance), _CLOSE)
-        depths = [cls.depth(plan, emulator(middle), key)[-1] for key in problem.settings.process]
+        depths = [cls.depth(plan, emulator(middle[None])[0], key)[-1] for key in problem.settings.process]
         return cls(plan, emulator, settings[0], np.array(depths))
 
     @property
@@ -261,6 +261,11 @@ class Follower:
         weights = np.full(len(x), 1.0 / len(x))
         self.before = Specimen(x, coordinates, weights, 0.0, 0, None, self._rms(x, coordinates, weights))
 
+    def at_edges(self, found: Specimen) -> float:
+        """Return the share of the draws that are at edges of the box of histories."""
+        inside = self.histories.emulator.box.inside(found.unknowns[:, : self.m])
+        return float(found.weights @ (np.abs(inside) > 0.97).any(axis=1))
+
     def _shares(self, x: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return the shares (s, bodies) of random wear over the depths of the setting."""
         histories, emulator = self.histories, self.histories.emulator
@@ -294,7 +299,7 @@ class Follower:
                 setting = replace(
                     likelihood.adapted(middle, loss), times=likelihood.with_times_that_count(some).times
                 )
-                if _is_close(old, setting):
+                if _is_close(old, setting, likelihood.limits):
                     break
                 likelihood = TestLikelihood(test, setting, found.shares)
             found = self._weighed(EmulatedLikelihood(likelihood, emulator))
@@ -472,10 +477,11 @@ def _moments(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray
     return mean, covariance + 1e-12 * np.eye(len(mean))
 
 
-def _is_close(old: Setting, new: Setting) -> bool:
+def _is_close(old: Setting, new: Setting, limits: IntArray) -> bool:
     """Tell whether likelihoods do not differ by their settings."""
     times = all(
-        new.times[i][1] - new.times[i][0] > 0.7 * (high - low) for i, (low, high) in old.times.items()
+        np.diff(new.times[i])[0] > 0.7 * np.diff(ends)[0] for i, ends in old.times.items()
     )
-    moved = np.abs(new.expected - old.expected) / new.sd
-    return times and bool(np.abs(np.log(new.sd / old.sd)).max() < 0.02 and moved.max() < 0.05)
+    moved = np.abs(new.expected - old.expected)[limits] / new.sd[limits]
+    scaled = np.abs(np.log(new.sd / old.sd))
+    return times and bool(scaled.max() < 0.02 and moved.max(initial=0.0) < 0.05)

@@ -24,8 +24,9 @@ from ringwear_par.results.variables import DISPLAY_UNITS
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: effective draws below which intervals are rough; error of histories over their spread that is told
-_FEW, _ROUGH = 300.0, 2e-3
+#: effective draws below which intervals are rough; share of the draws at edges of what was drawn
+#: before, and error of histories over their spread, that are told
+_FEW, _AT_EDGES, _ROUGH = 300.0, 0.01, 2e-3
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,11 @@ class Monitor:
                 f"these readings leave only {effective:.0f} of {len(found.weights)} draws: "
                 "intervals are rough; use more draws (--draws), and check that the earlier tests "
                 "are of the same material and rig",
+            )
+        if follower.at_edges(found) > _AT_EDGES:
+            doubts += (
+                "this specimen is beyond almost all that the earlier tests let expect: intervals "
+                "are cut off there; check that they are of the same material and rig",
             )
         if follower.histories.error > _ROUGH:
             doubts += (

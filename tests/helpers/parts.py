@@ -35,6 +35,8 @@ PLACES = {
     "identification.definition.fit_file": "read_fit",
     "identification.definition.problem": "ProcessNoise Series",
     "identification.draws": "Draws conditions_of law_names write_draws",
+    "identification.histories": "Readings",
+    "identification.solution": "solve",
     "identification.fitted_values": "FittedValues",
     "identification.figures": "drawn_series",
     "identification.fit": "expected_result",
