@@ -92,9 +92,10 @@ def run_follow(
     running, percent, mm = on_first_rank(comm, begin)
     fit: Any = after
     if after is None:
+        others = on_first_rank(comm, running.other_tests)
         from ringwear_par.identification.fit import fit_problem
 
-        fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
+        fit = fit_problem(others, comm)
     followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]

@@ -36,6 +36,7 @@ PLACES = {
     "identification.definition.problem": "ProcessNoise Series",
     "identification.draws": "Draws conditions_of law_names write_draws",
     "identification.histories": "Readings",
+    "identification.likelihood": "Setting TestLikelihood",
     "identification.solution": "solve",
     "identification.fitted_values": "FittedValues",
     "identification.figures": "drawn_series",

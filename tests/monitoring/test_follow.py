@@ -11,7 +11,17 @@ from drawn import TAU, K, draws_of, fit_of, save_fit
 from laboratory import CASE, END, fit_tables, history, one_test, penetration, profile, record
 from laboratory import write_table as write
 from mpi4py import MPI
-from parts import ProcessNoise, Readings, StopSignals, fit_knowledge, read_fit, solve, toml_text
+from parts import (
+    ProcessNoise,
+    Readings,
+    Setting,
+    StopSignals,
+    TestLikelihood,
+    fit_knowledge,
+    read_fit,
+    solve,
+    toml_text,
+)
 from scipy.special import logsumexp
 
 import ringwear_par as rw
@@ -43,14 +53,17 @@ def folder(tmp_path_factory):
                                              "time.step": None, "time.steps": None})  # fmt: skip
     draws = draws_of(case, count=2000, tau=TAU)
     archard = draws_of(case.replace(ARCHARD), count=2000, k=8e-9, tau=TAU)
-    save_fit(path / "fit", fit_of(draws, archard=replace(archard, log_evidence=-2.0)))
+    fit = save_fit(path / "fit", fit_of(draws, archard=replace(archard, log_evidence=-2.0)))
+    content = json.loads((fit / "fit.json").read_text()) | {"experiments": {"S1": {}}}
+    (fit / "fit.json").write_text(json.dumps(content))
     record(path / "z.csv", *clean(1))
     return path
 
 
-def clean(seed, k=TRUE_K, sd=2e-4, times=None):
+def clean(seed, k=TRUE_K, sd=2e-4, times=None, drift=3e-4):
     """Return times and penetrations (mm) of a specimen, with an offset, a drift and noise."""
-    t, z = penetration(history(80.0, {K: k, **P0}), None, times)
+    truth = history(80.0, {K: k, **P0}, END if times is None else max(END, times[-1]))
+    t, z = penetration(truth, None, times, drift=drift)
     return t, z + sd * np.random.default_rng(seed).standard_normal(len(t))
 
 
@@ -97,14 +110,16 @@ def by_hand(problem, k, size=0.0, middle=MATERIAL, fitted=False):
     model = np.polynomial.chebyshev.chebval(grid / 0.6, weights).T
     (test,) = problem.experiments
     series = test.series[0]
-    slope = np.gradient(model, grid, axis=0)
+    slope, truth = np.gradient(model, grid, axis=0), history(80.0, {K: TRUE_K, **P0})
+    worn = truth.histories["worn_volume_lower"] / truth.line.area.sum()
+    depth = np.interp(series.x, truth.histories["time"], worn)
     covariance = np.diag(series.sd**2)
     if not fitted:
         covariance = covariance + 5e-4**2 * np.outer(series.x, series.x) / END**2
     rest, logs = series.value - model, np.empty(len(grid))
     for i, (r, g) in enumerate(zip(rest, slope, strict=True)):
-        depth = g / g[-1]  # penetration goes with depth, but for a share of 0.1 %
-        c = covariance + size * g[-1] * np.minimum.outer(depth, depth)
+        s = depth * k / TRUE_K * np.exp(grid[i])
+        c = covariance + size * np.outer(g / s, g / s) * np.minimum.outer(s, s)
         inverse = np.linalg.inv(c)
         ones = inverse.sum(axis=0)
         square = r @ inverse @ r - (ones @ r) ** 2 / ones.sum()
@@ -119,14 +134,13 @@ def by_hand(problem, k, size=0.0, middle=MATERIAL, fitted=False):
 
 
 def quantiles_of(x, logs):
-    share = np.cumsum(np.exp(logs - logsumexp(logs)))
-    return np.interp(QUANTILES, share, x)
+    weights = np.exp(logs - logsumexp(logs))
+    return np.interp(QUANTILES, np.cumsum(weights) - 0.5 * weights, x)
 
 
 def quantiles_of_draws(found):
     order = np.argsort(found.unknowns[:, 0])
-    share = np.cumsum(found.weights[order])
-    return np.interp(QUANTILES, share, found.unknowns[order, 0])
+    return quantiles_of(found.unknowns[order, 0], np.log(found.weights[order] + 1e-300))
 
 
 def follow(path, folder, name="out", **options):
@@ -158,15 +172,15 @@ def test_the_posterior_of_a_running_test(folder):
     (folder / "half.csv").write_text("".join(lines[:16]) + lines[16][:4])  # and half a line
     half = follow(running(folder, "half"), folder, to=f"{wished:.3f}%")
     assert half["readings"] == 15
-    assert half["goal"]["time"] == pytest.approx(45.0, abs=10.0)
+    assert half["goal"]["time"] == pytest.approx(at_45[0], abs=12.0)
+    assert half["goal"]["at_end"] == pytest.approx(key["percent"], rel=0.1)
     assert 'http-equiv="refresh"' in (folder / "out" / "follow.html").read_text()
 
 
 def test_a_sensor_that_leaves_few_draws(folder):
     """Its draws are made anew, about those that are left."""
     record(folder / "fine.csv", *clean(2, sd=1e-6))
-    path = running(folder, "fine", sd=1e-3, nuisance={"offset": {}, "drift": {"prior": {"normal": [0.3, 0.5]}}})
-    problem = problem_of(path)
+    problem = problem_of(running(folder, "fine", sd=1e-3))
     follower = follower_of(problem, fit_knowledge(folder / "fit").draws)
     found = follower.update(problem.experiments[0])
     assert found.redraws > 0
@@ -236,7 +250,7 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
     monitor, alarms, inside = monitor_of(problem, draws), 0, 0
 
     def answer(k, seed, later=1.0):
-        t, z = clean(seed, k, times=np.where(times < 50, times, 50 + later * (times - 50)))
+        _, z = clean(seed, k, 2e-4, np.where(times < 50, times, 50 + later * (times - 50)), 0.0)
         growth = -3e-3 * (1.0 - np.exp(-times / max(20.0 + 7.0 * random.standard_normal(), 4.0)))
         series = replace(test.series[0], x=times, value=z + growth, sd=np.full(60, 2e-4), lines=None)
         return monitor.answer(problem.with_experiments((replace(test, series=(series,)),)))
@@ -248,7 +262,7 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
         low, high = found.keys[K]["interval"]
         inside += low < k < high
     assert alarms <= 1
-    assert inside >= 17
+    assert inside >= 16
     changed = answer(MATERIAL, 30, later=1.9)
     assert 50.0 <= changed.alarm.time <= 70.0
     low, high = changed.keys[K]["interval"]
@@ -276,7 +290,7 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     write(folder / "d.csv", ("r_mm", "d_um"), r, 1e3 * d)
     face = {"quantity": "profile.lower", "at": END, "file": "d.csv", "sd": 0.08,
             "columns": {"r": "r_mm", "value": "d_um"}, "nuisance": {"level": {}, "tilt": {}}}  # fmt: skip
-    limit = {"quantity": "volume.lower", "value": 1.0, "at": 50.0, "unit": "mm^3", "sd": 0.1,
+    limit = {"quantity": "volume.lower", "value": 3.0, "at": 50.0, "unit": "mm^3", "sd": 0.1,
              "censored": "below"}  # fmt: skip
     draws = fit_knowledge(folder / "fit").draws
     alone = problem_of(running(folder, sd="fit", nuisance={"offset": {}}))
@@ -284,12 +298,17 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     found = quantiles_of_draws(follower.update(alone.experiments[0]))
     exact = quantiles_of(*by_hand(alone, TRUE_K, fitted=True))
     assert found == pytest.approx(exact, abs=0.15 * (exact[2] - exact[0]) / 3.92)
-    for more in ([limit], [limit, face]):
-        with_more = problem_of(running(folder, more=more))
-        answer = monitor_of(with_more, draws).answer(with_more)
-        assert answer.alarm is None
-        low, high = answer.keys[K]["interval"]
-        assert low < TRUE_K < high
+    path = running(folder, more=[limit, face])
+    problem, (test,) = problem_of(path), problem_of(path).experiments
+    x = np.log(TRUE_K) + np.linspace(-0.1, 0.1, 201)
+    likelihood = TestLikelihood(test, Setting.before(test, "gaussian", 0), np.zeros(0))
+    with StopSignals() as signals:
+        (y,) = Readings(problem, MPI.COMM_SELF, signals)([(0, x[:, None])])
+    exact = quantiles_of(x, likelihood(y) - 0.5 * (x - np.log(MATERIAL)) ** 2 / (0.1**2 + TAU**2))
+    found = quantiles_of_draws(follower_of(problem, draws).update(test))
+    assert found == pytest.approx(exact, abs=0.15 * (exact[2] - exact[0]) / 3.92)
+    assert exact[2] - exact[0] < 0.1 * np.ptp(quantiles_of(*by_hand(alone, TRUE_K)))
+    assert monitor_of(problem, draws).answer(problem).alarm is None
 
 
 def test_measured_friction_as_far_as_it_was_read(folder):
@@ -316,8 +335,9 @@ def test_random_wear_goes_on_from_the_readings(folder):
     for size in (1e-9, 2e-4):
         follower = follower_of(problem, replace(draws, process=np.tile([size, 0.0], (2000, 1))))
         found = follower.update(part_of(problem.experiments[0], times_of(problem.experiments[0]) <= 60.0))
-        times.append(np.quantile(time_to(follower, found, 8e-3, 60.0), (0.16, 0.5, 0.84)))
-    assert 60.0 < times[1][0] < times[0][0] < times[0][1] < times[0][2] < times[1][2]
+        times.append(np.quantile(time_to(follower, found, 7e-3, 60.0), (0.2, 0.5, 0.8), method="inverted_cdf"))
+    assert 60.0 < times[1][0] < times[1][1] < times[1][2] < END
+    assert np.ptp(times[1]) > 1.3 * np.ptp(times[0])
 
 
 def test_a_transition_raises_an_alarm_while_the_file_grows(folder, capsys):
@@ -358,7 +378,7 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(folder, capsys):
         ("S1", ('"runs"', '"S1"'), {}),
         ("--after", (), {"after": None}),
         ("15%", (), {"to": "0.15"}),
-        ("compare.other", ("archard]", "other]"), {}),
+        ("compare.other", ('{ "archard"', '{ "other"'), {}),
         ("none.csv", ("z.csv", "none.csv"), {}),
         ("--draws = 10(.|\n)*percentage(.|\n)*length", (),
          {"draws": 10, "to": "a bit", "depth": "3 s"}),
