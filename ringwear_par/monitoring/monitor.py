@@ -12,8 +12,9 @@ from ringwear_par.identification.definition.problem import FittedParameter, Prob
 from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.summary import probabilities
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal
-from ringwear_par.monitoring.follower import Follower, Specimen, part_of, times_of
-from ringwear_par.monitoring.outlook import time_to, time_to_goal
+from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.monitoring.histories import part_of, times_of
+from ringwear_par.monitoring.outlook import surprise, time_to, time_to_goal
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo
@@ -27,6 +28,8 @@ _IMPROBABLE = 0.01 / WINDOWS
 #: effective draws below which intervals are rough; share of the draws at edges of what was drawn
 #: before, and error of histories over their spread, that are told
 _FEW, _AT_EDGES, _ROUGH = 300.0, 0.01, 2e-3
+#: histories of which a band is drawn
+_DRAWN = 1000
 
 
 @dataclass(frozen=True)
@@ -102,10 +105,10 @@ class Monitor:
             old, new = times <= low, (times > low) & (times <= high)
             if high > now * (1.0 + 2e-9) or not old.any() or not new.any():
                 continue
-            found = self._window(problem, old, new)
-            note(float(times[old].max()), found.intervals, found.laws)
-            if found.probability < _IMPROBABLE:
-                alarm = Alarm(float(times[new].min()), found.probability)
+            seen = self._window(problem, old, new)
+            note(float(times[old].max()), seen.intervals, seen.laws)
+            if seen.probability < _IMPROBABLE:
+                alarm = Alarm(float(times[new].min()), seen.probability)
                 break
         counted = times < (np.inf if alarm is None else alarm.time)
         until = float(times[counted].max())
@@ -169,9 +172,9 @@ class Monitor:
         if content not in self._windows:
             found = follower.update(part_of(test, old))
             told = times_of(both) > times_of(test)[old].max()
-            surprise = follower.surprise(found, both, told) if found.likelihood else 1.0
+            p = surprise(follower, found, both, told) if found.likelihood else 1.0
             laws = self._laws(problem, old, found)
-            self._windows[content] = _Window(self._intervals(found, problem), laws, surprise)
+            self._windows[content] = _Window(self._intervals(found, problem), laws, p)
         return self._windows[content]
 
     def _laws(self, problem: Problem, counted: BoolArray, found: Specimen) -> dict[str, float]:
@@ -193,33 +196,27 @@ class Monitor:
     def record(self) -> Panel | None:
         """Return the panel of the first record of penetration, approach or torque."""
         found, histories, test = self._found, self._followers[""].histories, self._test
-        rows = np.cumsum([0, *(series.n for series in test.series)]).tolist()
+        rows = np.cumsum([0, *(series.n for series in test.series)])
         places = {s.quantity: i for i, s in reversed([*enumerate(test.series)])}
-        place = next((places[q] for q in ("penetration", "approach", "torque") if q in places), None)
-        if place is None or found.likelihood is None:
+        known = [places[q] for q in ("penetration", "approach", "torque") if q in places]
+        if not known or found.likelihood is None:
             return None
-        series, emulator = test.series[place], found.likelihood.emulator
-        name = f"all {series.quantity.replace('penetration', 'approach')}"
-        mean, modes = (
-            histories.quantities(histories.plan, columns)[name]
-            for columns in (histories.emulator.mean, histories.emulator.modes.T)
-        )
-        curves = mean + found.chosen(1000) @ modes.T
-        if series.quantity == "penetration":
-            curves = curves - curves[:, :1]
-        middle = emulator.mean + found.weights @ found.coordinates @ emulator.modes
-        added = found.likelihood.likelihood.nuisance_draws(middle[None])[0][0]
+        series, quantity = test.series[known[0]], test.series[known[0]].quantity
+        steps = histories.at_steps(quantity.replace("penetration", "approach"))
+        steps = steps - steps[0] if quantity == "penetration" else steps
         tail = 0.5 * (1.0 - self._level)
-        low, median, high = np.quantile(curves, (tail, 0.5, 1.0 - tail), axis=0)
-        symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
+        curves = np.quantile(found.chosen(_DRAWN) @ steps.T, (tail, 0.5, 1.0 - tail), axis=0)
+        added = found.likelihood.likelihood.nuisance_draws(found.middle[None])[0][0]
+        value = series.value - added[rows[known[0]] : rows[known[0] + 1]]
+        symbol, factor = DISPLAY_UNITS.get(quantity, ("N mm", 1.0))
         unit, seconds = time_unit(test.case.time.end)
-        time, value = histories.time / seconds, series.value - added[rows[place] : rows[place + 1]]
+        time, (low, median, high) = histories.time / seconds, factor * curves
         level = f"{100 * self._level:g} %"
         return Panel(
-            Axis(f"time ({unit})"), Axis(f"{series.quantity} ({symbol})", zero=True),
+            Axis(f"time ({unit})"), Axis(f"{quantity} ({symbol})", zero=True),
             "readings, and histories of this specimen",
-            curves=[Curve(time, factor * median, "median", COLOURS[1])],
-            bands=[Band(time, factor * low, factor * high, level, ("low", "high"))],
+            curves=[Curve(time, median, "median", COLOURS[1])],
+            bands=[Band(time, low, high, level, ("low", "high"))],
             points=[Points(series.x / seconds, factor * value, "readings, less offset and drift")],
         )  # fmt: skip
 

@@ -1,20 +1,75 @@
-"""When readings to come will tell enough, and when a depth is reached."""
+"""Whether readings are as expected, when they will tell enough, and when a depth is reached."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import fdtrc, logsumexp
+from scipy.stats import chi2
 
-from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
 from ringwear_par.identification.likelihood import TestLikelihood
-from ringwear_par.monitoring.follower import Follower, Specimen, part_of, times_of
+from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.monitoring.histories import part_of, times_of
 from ringwear_par.prediction.prediction import times_at
 
+#: draws by which readings are predicted, and for the time to a depth
+_PREDICTED, _DRAWS = 1000, 2000
 #: most readings of a record that are planned to the end; times that a goal may be reached at
 _PLANNED, _TIMES = 300, 60
-#: draws for the time to a depth
-_DRAWS = 2000
+
+
+def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArray) -> float:
+    """Return how probable it is that new readings are so far from what old ones lead to expect.
+
+    By mean and covariance of the new readings over draws and growth times, nuisances and random
+    wear integrated out; limits apart.
+
+    Parameters
+    ----------
+    found : by the old readings.
+    test : whose readings (n,) are new or old.
+    """
+    assert found.likelihood is not None
+    random, v = np.random.default_rng(0), found.chosen(_PREDICTED)
+    old, emulator = found.likelihood.likelihood, found.likelihood.emulator
+    by_node = old.by_node(v @ np.vstack([emulator.mean, emulator.modes]))
+    growing = {
+        old.test.series[i].name: logs
+        for (_, growth), logs in zip(old.noises, by_node, strict=True)
+        for i in growth.series
+    }
+    emulator = follower.histories.emulator_of(test)
+    likelihood = TestLikelihood(test, follower.setting_like(found, test), found.shares)
+    new = new & ~np.isin(np.arange(test.n), likelihood.limits)
+    off, spread, freedom = [], [], np.inf
+    for part, (noise, growth) in zip(likelihood.parts, likelihood.noises, strict=True):
+        here = new[noise.rows]
+        data = noise.data(likelihood.data[noise.rows]) - emulator.mean[noise.rows]
+        rows = noise(np.column_stack([data, -emulator.modes[:, noise.rows].T]))
+        units = noise(np.eye(len(here))[:, here])
+        taken = growth.directions(rows, np.eye(1, rows.shape[1])[0])
+        by_units = growth.directions(units, np.zeros(units.shape[1]))
+        precision = units.T @ units - np.einsum("kgi,kgj->kij", by_units, by_units)
+        pull = units.T @ rows - np.einsum("kgi,kgj->kij", by_units, taken)
+        covariance = np.linalg.pinv(precision, hermitian=True)
+        names = [test.series[i].name for i in growth.series]
+        logs = growing.get(names[0] if names else "", growth.log_constants[:, None])
+        chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
+        nodes = np.minimum((chance < random.random(len(v))).sum(axis=0), len(logs) - 1)
+        off.append(np.einsum("sqr,sr->sq", (covariance @ pull)[nodes], v))
+        spread.append(covariance[nodes].mean(axis=0))
+        if here.any() and test.series[part[0]].sd_fitted:
+            freedom = min(freedom, max(noise.freedom - growth.free - here.sum(), 1.0))
+    each = np.concatenate(off, axis=1)
+    if not each.size:
+        return 1.0
+    variance = block_diag(*spread) + np.cov(each.T)
+    mean, rank = each.mean(axis=0), np.linalg.matrix_rank(variance, hermitian=True)
+    square = mean @ np.linalg.pinv(variance, hermitian=True) @ mean
+    known = np.isinf(freedom)
+    return float(chi2.sf(square, rank) if known else fdtrc(rank, freedom, square / rank))
 
 
 def time_to_goal(
@@ -27,57 +82,48 @@ def time_to_goal(
     Parameters
     ----------
     key : its number.
-    ratio : of the sd that is wished over that by the readings (n,) of the test until now.
+    ratio : of the sd that is wished over that by the readings of the test until now, s.
     """
-    end = test.case.time.end
+    end, m = test.case.time.end, follower.m
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    root, rows = np.sqrt(found.weights)[:, None], np.flatnonzero(found.weights > 0.0)
-    x = found.unknowns[:, : follower.m] - found.weights @ found.unknowns[:, : follower.m]
-    columns = np.column_stack([x, np.ones(len(x))])
-    slopes = np.linalg.lstsq((root * columns)[rows], (root * found.coordinates)[rows], rcond=None)[0]
-    by_key = slopes[:-1] @ follower.histories.emulator.modes
-    before = follower.before.unknowns[:, : follower.m]
-    known = np.linalg.inv(np.atleast_2d(np.cov(before.T)))
-    times = times_of(planned)
+    times, root = times_of(planned), np.sqrt(found.weights)[:, None]
+    x = np.column_stack([found.unknowns[:, :m], np.ones(len(root))])
+    slopes = np.linalg.lstsq(root * x, root * found.coordinates, rcond=None)[0][:-1]
+    by_key = (slopes @ follower.histories.emulator.modes).T
+    known = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
 
     def sd_at(time: float) -> float:
-        part = part_of(planned, times <= time * (1.0 + 1e-9))
-        information = known.copy()
+        information, part = known, part_of(planned, times <= time * (1.0 + 1e-9))
         if part.series:
-            setting = follower.setting_like(found, part)
-            likelihood = TestLikelihood(part, setting, found.shares)
-            jacobian = follower.histories.read(by_key.T, part)
+            likelihood = TestLikelihood(part, follower.setting_like(found, part), found.shares)
+            jacobian = follower.histories.read(by_key, part)
             for noise, growth in likelihood.noises:
                 white = noise(jacobian[noise.rows])
-                taken = growth.directions(white, np.zeros(white.shape[1]))[len(growth.times) // 2]
-                information += white.T @ white - taken.T @ taken
+                taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
+                information = information + white.T @ white - taken.T @ taken
         return float(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
 
     at, first = np.linspace(now, end, _TIMES), sd_at(now)
-    return _first(at, lambda time: sd_at(time) <= ratio * first), sd_at(end) / first
-
-
-def _first(at: FloatArray, reached: Callable[[float], bool]) -> float | None:
-    """Return the first of some times at which something is reached, and then stays so."""
-    if not reached(float(at[-1])):
-        return None
-    low, high = -1, len(at) - 1
+    low, high, least = -1, len(at) - 1, sd_at(end) / first
+    if least > ratio:
+        return None, least
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if reached(float(at[middle])) else (middle, high)
-    return float(at[high])
+        reached = sd_at(float(at[middle])) <= ratio * first
+        low, high = (low, middle) if reached else (middle, high)
+    return float(at[high]), least
 
 
 def _to_end(series: Series, end: float) -> Series:
     """Return a record that goes on at its rate to the end of the test; what is read once stays."""
-    if series.profile or series.n < 2 or series.x[-1] >= end or series.censored is not None:
+    if series.profile or series.n < 2 or series.censored is not None:
         return series
     apart = float(np.median(np.diff(series.x)))
     more = np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart)
     # fewer readings stand for all; those of correlated noise tell no more where they are many
-    every = -(-len(more) // _PLANNED)
-    fewer = 1.0 if series.correlation_time else np.sqrt(max(every, 1))
-    x = np.append(series.x, more[::-1][:: every or 1][::-1])
+    every = max(-(-len(more) // _PLANNED), 1)
+    fewer = 1.0 if series.correlation_time else np.sqrt(every)
+    x = np.append(series.x, more[::-1][::every][::-1])
     sd = np.append(series.sd, np.full(len(x) - series.n, series.sd[-1] / fewer))
     return replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None)
 
@@ -92,27 +138,24 @@ def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> Fl
     ----------
     now : s, of the last reading.
     """
-    histories, coordinates = follower.histories, found.chosen(_DRAWS)
-    plan, time = histories.plan, histories.time
-    random = np.random.default_rng(1)
-    both = np.column_stack([histories.emulator.mean, histories.emulator.modes.T])
-    v = np.column_stack([np.ones(len(coordinates)), coordinates])
-    approach = histories.quantities(plan, both)["all approach"]
+    histories, v, random = follower.histories, found.chosen(_DRAWS), np.random.default_rng(1)
+    approach, time = histories.at_steps("approach"), histories.time
     depths = v @ (approach - approach[0]).T
     for body, key in enumerate(follower.problem.settings.process):
-        worn, most = v @ histories.depth(plan, both, key).T, histories.depths[body]
-        size = found.shares[body] ** 2 * most
+        worn = v @ histories.at_steps(f"depth.{body_of_wear(key)}").T
+        size = found.shares[body] ** 2 * follower.most[body]
         at_now = np.array([np.interp(now, time, row) for row in worn])
         excess, variance = np.zeros(len(v)), size * at_now
         if found.likelihood is not None:
-            likelihood, emulator = found.likelihood.likelihood, found.likelihood.emulator
-            ((noise, growth),), clock = likelihood.noises, likelihood.setting.clocks[body]
-            readings = emulator.mean + coordinates @ emulator.modes
+            old, emulator = found.likelihood.likelihood, found.likelihood.emulator
+            likelihood = TestLikelihood(old.test, old.setting, found.shares)
+            ((noise, growth),), clock = likelihood.noises, old.setting.clocks[body]
+            readings = v @ np.vstack([emulator.mean, emulator.modes])
             node = int(np.argmax(likelihood.by_node(readings)[0].sum(axis=1)))
-            rows = noise.data(likelihood.data)[:, None] - readings.T
-            both_rows = noise(np.column_stack([size * clock[0] * clock[1], rows]))
-            taken = growth.directions(both_rows, np.append(0.0, np.ones(len(v))))[node]
-            along = both_rows.T @ both_rows[:, 0] - taken.T @ taken[:, 0]
+            across = size * clock[0] * clock[1]  # its covariance with the readings
+            rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
+            taken = growth.directions(rows, np.append(0.0, np.ones(len(v))))[node]
+            along = rows.T @ rows[:, 0] - taken.T @ taken[:, 0]
             excess, variance = along[1:], np.maximum(variance - along[0], 0.0)
         excess = excess + np.sqrt(variance) * random.standard_normal(len(v))
         later = np.diff(np.maximum(worn, at_now[:, None]), axis=1, prepend=at_now[:, None])
