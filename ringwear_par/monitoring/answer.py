@@ -148,9 +148,8 @@ class Answer:
         record : the readings with their band; None: there is none.
         """
         unit, seconds = time_unit(self.end)
-        goal, key, warnings, axis = self.goal, self.keys[self.goal.key], self.warnings, Axis(
-            f"time ({unit})"
-        )
+        goal, key, warnings = self.goal, self.keys[self.goal.key], self.warnings
+        axis = Axis(f"time ({unit})")
         numbers, unit_of_key = users_numbers(key)
         time = self.trace[:, 0] / seconds
         low, median, high = self.trace[:, 1:].T / numbers["scale"]
@@ -184,10 +183,11 @@ class Answer:
                         note=f"{self.readings} to {self._at(self.time)}", good=self.alarm is None),
         ]  # fmt: skip
         lines = blocks.Lines([with_signs(line) for line in self.lines(warnings=False)])
-        told = [blocks.Lines(warnings, warning=True)] if warnings else []
+        summary: list[blocks.Lines | blocks.Tiles] = [blocks.Tiles(tiles), lines]
+        summary += [blocks.Lines(warnings, warning=True)] * bool(warnings)
         reproduce = [blocks.Source("Command", command), blocks.software(dict(versions))]
         sections = [
-            blocks.Section("Summary", [blocks.Tiles(tiles), lines, *told]),
+            blocks.Section("Summary", summary),
             blocks.Section("Over time", [blocks.Charts(charts)]),
             blocks.Section("How to reproduce", reproduce),
         ]

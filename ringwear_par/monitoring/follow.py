@@ -5,7 +5,7 @@ import logging
 import re
 import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
-from ringwear_par.identification.draws import NEXT, Draws
+from ringwear_par.identification.draws import NEXT
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.monitoring.answer import Answer
 from ringwear_par.monitoring.follower import Follower
@@ -131,7 +131,7 @@ class _Followed(NamedTuple):
     """A test that is followed, with what is known before it."""
 
     running: RunningTest
-    #: of it alone, with the random wear that the fit knows; the laws that are compared
+    #: of it alone, with the random wear that the fit knows, under all laws that are compared
     problem: Problem
     known: FitKnowledge
     #: the next specimen, or one of the fit's
@@ -145,83 +145,75 @@ class _Followed(NamedTuple):
         ------
         InputError : its faults; the file has other keys or another case than at the beginning.
         """
-        problem, before, name = self.running.read(), self.problem, legible(self.running.name)
-        other, case = _differences(problem, before)
-        changed = ["fit.parameters"] * other + [f"the case of {name}"] * case
-        laws = {law: problem.alternatives.get(law) for law in before.alternatives}
-        if not changed and any(
-            law is None or any(_differences(law, before.alternatives[n])) for n, law in laws.items()
+        problem, before = self.running.read(), self.problem
+        same = _content(problem) == _content(before)
+        laws = {law: problem.alternatives.get(law, problem) for law in before.alternatives}
+        if not same or any(
+            _content(laws[n]) != _content(law) for n, law in before.alternatives.items()
         ):
-            changed = ["compare"]
-        if changed:
             raise InputError(
-                f"{self.running.source}: {' and '.join(changed)} changed; must stay while {name} "
-                "is followed"
+                f"{self.running.source}: fit.parameters, compare or the case of "
+                f"{legible(self.running.name)} changed; must stay while it is followed"
             )
-        alternatives = {
-            n: replace(law, settings=before.alternatives[n].settings)
-            for n, law in laws.items() if law is not None
-        }  # fmt: skip
-        return replace(problem, settings=before.settings, alternatives=alternatives)
+        process = before.settings.process
+        return _with_process(replace(problem, alternatives=laws), process)
 
 
-def _differences(problem: Problem, before: Problem) -> tuple[bool, bool]:
-    """Tell whether the keys of two problems of one test differ, and whether its case does."""
-    texts = [
-        test.case.replace({entry.key: 1.0 for entry in test.inputs}).text
-        for test in (*problem.experiments, *before.experiments)
-    ]
-    return problem.parameters != before.parameters, texts[0] != texts[1]
+def _content(problem: Problem) -> tuple[Any, str]:
+    """Return what of a problem of one test must stay: its keys, and its case but for inputs."""
+    (test,) = problem.experiments
+    case = test.case.replace({entry.key: 1.0 for entry in test.inputs})
+    return problem.parameters, case.text
+
+
+def _with_process(problem: Problem, process: Mapping[str, ProcessNoise]) -> Problem:
+    """Return a problem with random wear, under all its laws."""
+    settings = replace(problem.settings, process=process)
+    laws = {n: replace(law, settings=settings) for n, law in problem.alternatives.items()}
+    return replace(problem, settings=settings, alternatives=laws)
 
 
 def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> _Followed:
     """Return a test with what a fit knows before it, or raise InputError. On one rank."""
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
-    tests = json.loads(read_text(after / FIT)).get("experiments", {}) if after else {}
-    if running.name in tests:
+    if after and running.name in json.loads(read_text(after / FIT)).get("experiments", {}):
         raise InputError(
             f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
             "must be followed after a fit without it"
         )
-    (experiment,) = problem.experiments
+    (experiment,), asked = problem.experiments, problem.alternatives
     specimen = experiment.groups[0] or experiment.name
     specimen = specimen if specimen in known.draws.specimens else NEXT
-    missing = [legible(law) for law in known.laws if law not in problem.alternatives]
-    unknown = [law for law in problem.alternatives if law not in known.laws] if known.laws else []
-    if missing and unknown:
+    laws = {law: asked[law] for law in known.laws if law in asked}
+    if known.laws and (unknown := [law for law in asked if law not in laws]):
         raise InputError(
             f"{running.source}: compare.{legible(unknown[0])}: was not compared by {known.name}; "
-            f"must be {' or '.join(missing)}, as there, or absent"
+            f"must be {' or '.join(map(legible, known.laws))}, as there, or absent"
         )
-    laws = {}
-    reasons = dict.fromkeys(unknown, f"{known.name} has no draws of it")
-    for law, draws in known.laws.items():
-        if law not in problem.alternatives:
-            reasons[law] = f"{running.source} has no compare.{legible(law)}"
-        elif problem.settings.loss != "gaussian":
-            reasons[law] = f'loss = "{problem.settings.loss}" has no evidence'
-        else:
-            try:
-                laws[law] = _as_known(problem.alternatives[law], draws, known.name, specimen)
-            except InputError as error:
-                reasons[law] = reason_of(error)
-    problem = replace(_as_known(problem, known.draws, known.name, specimen), alternatives=laws)
     doubts = [doubt.text for doubt in doubts_of(known, experiment.case, specimen)]
-    doubts += [f"law {legible(law)} is not compared: {why}" for law, why in reasons.items()]
-    return _Followed(running, problem, known, specimen, tuple(doubts))
-
-
-def _as_known(problem: Problem, draws: Draws, fit: str, specimen: str) -> Problem:
-    """Return a problem with the random wear that a fit knows, or raise InputError."""
-    if problem.keys != draws.keys:
-        raise InputError(
-            f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, "
-            f"as {fit}"
-        )
-    check_predicted(draws, problem.experiments[0].case, problem.name, specimen)
-    sizes = zip(BODIES, draws.process.T, strict=True)
+    doubts += [
+        f"law {legible(law)} is not compared: {running.source} has no compare.{legible(law)}"
+        for law in known.laws if law not in asked
+    ]  # fmt: skip
+    doubts += [
+        f"law {legible(law)} is not compared: {known.name} has no draws of it"
+        for law in asked if not known.laws
+    ]  # fmt: skip
+    if problem.settings.loss != "gaussian" and laws:
+        laws = {}
+        doubts.append(f'laws are not compared: loss = "{problem.settings.loss}" has no evidence')
+    pairs = [(problem, known.draws), *((law, known.laws[name]) for name, law in laws.items())]
+    for of_law, draws in pairs:
+        if of_law.keys != draws.keys:
+            raise InputError(
+                f"{of_law.name}: fits {', '.join(of_law.keys)}; must be {', '.join(draws.keys)}, "
+                f"as {known.name}"
+            )
+        check_predicted(draws, of_law.experiments[0].case, of_law.name, specimen)
+    sizes = zip(BODIES, known.draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    return replace(problem, settings=replace(problem.settings, process=process))
+    problem = _with_process(replace(problem, alternatives=laws), process)
+    return _Followed(running, problem, known, specimen, tuple(doubts))
 
 
 def _loop(

@@ -107,11 +107,13 @@ class Follower:
     def prepare(self, problem: Problem) -> None:
         """Compute histories: at first, and for profiles and measured inputs that are new."""
         self.problem = problem
-        histories = self.histories = Histories.of(self._readings, problem, self._unknowns[:, : self.m])
-        #: (bodies, 1 + r) depths at the end; over those at the middle of the draws, which shares are of
-        self._depths = np.array(
-            [histories.at_steps(f"depth.{body_of_wear(key)}")[-1] for key in problem.settings.process]
-        ).reshape(-1, len(histories.middle))
+        histories = Histories.of(self._readings, problem, self._unknowns[:, : self.m])
+        self.histories = histories
+        bodies = [f"depth.{body_of_wear(key)}" for key in problem.settings.process]
+        # (bodies, 1 + r) at the end of the test
+        depths = np.array([histories.at_steps(body)[-1] for body in bodies])
+        self._depths = depths.reshape(-1, len(histories.middle))
+        #: (bodies,) mm, depths of the middle history at the end, of which shares are
         self.most = self._depths @ histories.middle
         x = self._unknowns[histories.emulator.holds(self._unknowns[:, : self.m])]
         lots = np.array_split(x[:, : self.m], 1 + len(x) // _SOME)
@@ -166,7 +168,7 @@ class Follower:
             start += series.n
         names = [series.name for series in test.series]
         sd = [known.get(series.name, (1.0,))[0] * series.sd for series in test.series]
-        times = {i: known.get(names[i], (0.0, ends))[1] or ends for i, ends in setting.times.items()}
+        times = {i: known.get(names[i], (0, ends))[1] or ends for i, ends in setting.times.items()}
         setting = replace(setting, sd=np.concatenate(sd), times=times)
         if self.problem.settings.loss == "gaussian":
             return setting

@@ -226,7 +226,9 @@ def _told(parameter: FittedParameter, entry: Mapping[str, Any]) -> dict[str, Any
     if not parameter.unit:
         return {}
     scale = unit_scale(parameter)
-    numbers = {name: np.divide(entry[name], scale).tolist() for name in ("estimate", "interval", "before")}
+    numbers = {
+        name: np.divide(entry[name], scale).tolist() for name in ("estimate", "interval", "before")
+    }
     return {"told": {"unit": parameter.unit, "scale": scale, **numbers}}
 
 
