@@ -190,8 +190,8 @@ FAULTS = [
     Fault("determinants of random wear", "identification/likelihood.py",
           "volume += np.log(np.diag(self._factor)).sum()", "volume += 0.0",
           "monitoring/test_follow.py::test_laws_are_as_probable_as_by_hand"),
-    Fault("power of the likelihood in the prior of new draws", "monitoring/follower.py",
-          "scale - power * log_l", "scale",
+    Fault("weights of new draws", "monitoring/follower.py",
+          "x, coordinates, ratio + log_l", "x, coordinates, 0.5 * (ratio + log_l)",
           "monitoring/test_follow.py::test_a_sensor_that_leaves_few_draws"),
 ]  # fmt: skip
 

@@ -185,11 +185,11 @@ class Answer:
         lines = blocks.Lines([with_signs(line) for line in self.lines(warnings=False)])
         summary: list[blocks.Lines | blocks.Tiles] = [blocks.Tiles(tiles), lines]
         summary += [blocks.Lines(warnings, warning=True)] * bool(warnings)
-        reproduce = [blocks.Source("Command", command), blocks.software(dict(versions))]
+        source, software = blocks.Source("Command", command), blocks.software(dict(versions))
         sections = [
             blocks.Section("Summary", summary),
             blocks.Section("Over time", [blocks.Charts(charts)]),
-            blocks.Section("How to reproduce", reproduce),
+            blocks.Section("How to reproduce", [source, software]),
         ]
         refresh = 0 if self.ended else _REFRESH
         return blocks.Page("Running test", self.test, sections, refresh=refresh)
