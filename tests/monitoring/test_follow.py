@@ -144,6 +144,11 @@ def quantiles_of_draws(found):
     return quantiles_of(found.unknowns[order, 0], np.log(found.weights[order] + 1e-300))
 
 
+def check(found, exact, share=0.15):
+    """Compare three quantiles, in standard deviations."""
+    assert found == pytest.approx(exact, abs=share * (exact[2] - exact[0]) / 3.92)
+
+
 def follow(path, folder, name="out", **options):
     """Follow a running test once, and return what is stored of it."""
     options = {"after": folder / "fit", "once": True, "draws": 20_000, **options}
@@ -156,10 +161,8 @@ def test_the_posterior_of_a_running_test(folder):
     path = running(folder)
     stored = follow(path, folder, depth="5 um")
     key, problem = stored["keys"][K], problem_of(path)
-    exact = quantiles_of(*by_hand(problem, TRUE_K))
-    sd = (exact[2] - exact[0]) / 3.92
     low, high = key["interval"]
-    assert np.log([low, key["estimate"], high]) == pytest.approx(exact, abs=0.1 * sd)
+    check(np.log([low, key["estimate"], high]), quantiles_of(*by_hand(problem, TRUE_K)))
     assert np.array(key["told"]["interval"]) == pytest.approx(1e3 * np.array([low, high]))
     assert np.log(key["before"][1] / MATERIAL) == pytest.approx(1.96 * np.hypot(0.1, TAU), rel=0.05)
     assert stored["alarm"] is None
@@ -185,9 +188,7 @@ def test_a_sensor_that_leaves_few_draws(folder):
     follower = follower_of(problem, fit_knowledge(folder / "fit").draws)
     found = follower.update(problem.experiments[0])
     assert found.redraws > 0
-    exact = quantiles_of(*by_hand(problem, TRUE_K))
-    sd = (exact[2] - exact[0]) / 3.92
-    assert quantiles_of_draws(found) == pytest.approx(exact, abs=0.15 * sd)
+    check(quantiles_of_draws(found), quantiles_of(*by_hand(problem, TRUE_K)))
 
 
 def test_laws_are_as_probable_as_by_hand(folder):
@@ -199,9 +200,7 @@ def test_laws_are_as_probable_as_by_hand(folder):
     for size in sizes:
         follower = follower_of(problem, replace(draws, process=np.tile([size, 0.0], (2000, 1))))
         found.append(follower.update(problem.experiments[0]))
-        exact = by_hand(problem, TRUE_K, size)
-        sd = np.diff(quantiles_of(*exact))[0] / 1.96
-        assert quantiles_of_draws(found[-1]) == pytest.approx(quantiles_of(*exact), abs=0.15 * sd)
+        check(quantiles_of_draws(found[-1]), quantiles_of(*by_hand(problem, TRUE_K, size)))
     by_sums = [logsumexp(by_hand(problem, TRUE_K, size)[1]) for size in sizes]
     evidences = [one.log_evidence for one in found]
     assert np.diff(evidences) == pytest.approx(np.diff(by_sums), abs=0.1)
@@ -216,7 +215,8 @@ def test_as_by_a_joint_fit(folder):
     """A fit of three tests and a fourth that runs tell what a fit of all four does."""
     tests = []
     for number, factor in enumerate((0.8, 1.0, 1.2, 1.3), start=1):
-        entry = record(folder / f"j{number}.csv", *clean(number, factor * MATERIAL), nuisance=OFFSET_AND_DRIFT)
+        t, z = clean(number, factor * MATERIAL)
+        entry = record(folder / f"j{number}.csv", t, z, nuisance=OFFSET_AND_DRIFT)
         tests.append(one_test(f"test {number}", 80.0, entry, **P0))
     tables = fit_tables(folder, tests)
     tables["fit"]["parameters"] = {K: tables["fit"]["parameters"][K] | {"scatter": "fit"}}
@@ -233,7 +233,7 @@ def test_as_by_a_joint_fit(folder):
     problem = replace(whole, experiments=whole.experiments[3:])
     found = follower_of(problem, draws, 50_000).update(problem.experiments[0])
     exact = np.quantile(joint.posterior.of_tests(joint.theta)[:, 3, 0], QUANTILES)
-    assert quantiles_of_draws(found) == pytest.approx(exact, abs=0.15 * (exact[2] - exact[0]) / 3.92)
+    check(quantiles_of_draws(found), exact)
 
 
 def solution_of(problem):
@@ -253,7 +253,8 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
     def answer(k, seed, later=1.0):
         _, z = clean(seed, k, 2e-4, np.where(times < 50, times, 50 + later * (times - 50)), 0.0)
         growth = -3e-3 * (1.0 - np.exp(-times / max(20.0 + 7.0 * random.standard_normal(), 4.0)))
-        series = replace(test.series[0], x=times, value=z + growth, sd=np.full(60, 2e-4), lines=None)
+        sd = np.full(60, 2e-4)
+        series = replace(test.series[0], x=times, value=z + growth, sd=sd, lines=None)
         return monitor.answer(problem.with_experiments((replace(test, series=(series,)),)))
 
     for seed in range(20):
@@ -290,15 +291,15 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     r, d = profile(history(80.0, {K: TRUE_K, **P0}), np.random.default_rng(0))
     write(folder / "d.csv", ("r_mm", "d_um"), r, 1e3 * d)
     face = {"quantity": "profile.lower", "at": END, "file": "d.csv", "sd": 0.08,
-            "columns": {"r": "r_mm", "value": "d_um"}, "nuisance": {"level": {}, "tilt": {}}}  # fmt: skip
+            "columns": {"r": "r_mm", "value": "d_um"},
+            "nuisance": {"level": {}, "tilt": {}}}  # fmt: skip
     limit = {"quantity": "volume.lower", "value": 3.0, "at": 50.0, "unit": "mm^3", "sd": 0.1,
              "censored": "below"}  # fmt: skip
     draws = fit_knowledge(folder / "fit").draws
     alone = problem_of(running(folder, sd="fit", nuisance={"offset": {}}))
     follower = follower_of(alone, draws)
-    found = quantiles_of_draws(follower.update(alone.experiments[0]))
     exact = quantiles_of(*by_hand(alone, TRUE_K, fitted=True))
-    assert found == pytest.approx(exact, abs=0.15 * (exact[2] - exact[0]) / 3.92)
+    check(quantiles_of_draws(follower.update(alone.experiments[0])), exact)
     path = running(folder, more=[limit, face])
     problem, (test,) = problem_of(path), problem_of(path).experiments
     x = np.log(TRUE_K) + np.linspace(-0.1, 0.1, 201)
@@ -306,37 +307,45 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     with StopSignals() as signals:
         (y,) = Readings(problem, MPI.COMM_SELF, signals)([(0, x[:, None])])
     exact = quantiles_of(x, likelihood(y) - 0.5 * (x - np.log(MATERIAL)) ** 2 / (0.1**2 + TAU**2))
-    found = quantiles_of_draws(follower_of(problem, draws).update(test))
-    assert found == pytest.approx(exact, abs=0.15 * (exact[2] - exact[0]) / 3.92)
+    check(quantiles_of_draws(follower_of(problem, draws).update(test)), exact)
     assert exact[2] - exact[0] < 0.1 * np.ptp(quantiles_of(*by_hand(alone, TRUE_K)))
     assert monitor_of(problem, draws).answer(problem).alarm is None
 
 
 def test_measured_friction_as_far_as_it_was_read(folder):
+    """After a fit without scatter, of which there is a warning."""
     t = np.linspace(1.0, 60.0, 40)
     torque = 0.1 * 80.0 * history(80.0, {K: TRUE_K, **P0}).line.area.sum() * 30.0 * np.ones(40)
     write(folder / "m.csv", ("t_s", "M_Nmm"), t, torque)
     path = running(folder)
-    tables = path.read_text().replace("[[experiment.data]]", '''[[experiment.input]]
+    tables = path.read_text().replace(
+        "[[experiment.data]]",
+        """[[experiment.input]]
 key = "contact.friction"
 quantity = "torque"
 file = "m.csv"
 columns = { time = "t_s", value = "M_Nmm" }
-[[experiment.data]]''', 1)
+[[experiment.data]]""",
+        1,
+    )
     (folder / "torque.toml").write_text(tables)
-    stored = follow(folder / "torque.toml", folder)
+    alone = replace(fit_knowledge(folder / "fit").draws, scatter={})
+    save_fit(folder / "alone", fit_of(replace(alone, material=alone.material + 0.25)))
+    stored = follow(folder / "torque.toml", folder, after=folder / "alone")
     low, high = stored["keys"][K]["interval"]
     assert low < TRUE_K < high
+    assert any("no scatter" in doubt for doubt in stored["doubts"])
 
 
 def test_random_wear_goes_on_from_the_readings(folder):
     problem = problem_of(running(folder), process={"wear.lower": ProcessNoise()})
-    draws = fit_knowledge(folder / "fit").draws
+    draws, (test,) = fit_knowledge(folder / "fit").draws, problem.experiments
     times = []
     for size in (1e-9, 2e-4):
         follower = follower_of(problem, replace(draws, process=np.tile([size, 0.0], (2000, 1))))
-        found = follower.update(part_of(problem.experiments[0], times_of(problem.experiments[0]) <= 60.0))
-        times.append(np.quantile(time_to(follower, found, 6.5e-3, 60.0), (0.2, 0.5, 0.8), method="inverted_cdf"))
+        found = follower.update(part_of(test, times_of(test) <= 60.0))
+        reached = time_to(follower, found, 6.5e-3, 60.0)
+        times.append(np.quantile(reached, (0.2, 0.5, 0.8), method="inverted_cdf"))
     assert 60.0 < times[1][0] < times[1][1] < END
     assert np.ptp(times[1]) > 1.3 * np.ptp(times[0])
 
