@@ -74,8 +74,8 @@ class Monitor:
     ) -> None:
         self._followers, self._draws, self._targets = followers, draws, targets
         self._evidences, self._whom, self._doubts = evidences, whom, doubts
-        #: by the readings until their end
-        self._windows: dict[tuple[bytes, ...], _Window] = {}
+        #: by the readings until their end, and what is asked of them
+        self._windows: dict[tuple[Any, ...], _Window] = {}
 
     def answer(self, problem: Problem) -> Answer:
         """Return the answer to the readings so far.
@@ -167,8 +167,11 @@ class Monitor:
         """Return what old readings tell, and how probable new ones are by them."""
         (test,), follower = problem.experiments, self._followers[""]
         both = part_of(test, old | new)
-        columns = [c for s in both.series for c in (s.x, s.value, s.sd)]
-        content = tuple(column.tobytes() for column in columns)
+        content: tuple[Any, ...] = (problem.settings.level,)
+        for s in both.series:
+            limits = np.array(s.censored).tobytes()
+            columns = s.x.tobytes(), s.value.tobytes(), s.sd.tobytes(), limits
+            content += (s.name, s.nuisances, s.correlation_time, s.sd_fitted, *columns)
         if content not in self._windows:
             found = follower.update(part_of(test, old))
             told = times_of(both) > times_of(test)[old].max()
