@@ -190,9 +190,12 @@ FAULTS = [
     Fault("time to a depth", "prediction/prediction.py", "time[np.maximum(after - 1, 0)]\n",
           "time[after]\n",
           "prediction/test_predict.py::test_a_depth_is_reached_by_some_draws_only"),
-    Fault("likelihood of a running test", "monitoring/bank.py",
-          "logs[chosen] = -0.5 * (square + rest)", "logs[chosen] = -0.25 * (square + rest)",
-          "monitoring/test_follow.py::test_the_posterior_of_a_running_test"),
+    Fault("determinants of random wear", "identification/likelihood.py",
+          "volume += np.log(np.diag(self._factor)).sum()", "volume += 0.0",
+          "monitoring/test_follow.py::test_laws_are_as_probable_as_by_hand"),
+    Fault("weights of new draws", "monitoring/follower.py",
+          "x, coordinates, ratio + log_l", "x, coordinates, 0.5 * (ratio + log_l)",
+          "monitoring/test_follow.py::test_a_sensor_that_leaves_few_draws"),
 ]  # fmt: skip
 
 
