@@ -97,8 +97,8 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
                 f"  {test.name}, {series.name}: {counted(series.n, 'reading')} in {series.unit}, "
                 f"noise {spread:.3g}{guessed}"
             )
-        lines += [f"  {test.name}, {measured.key} as measured: "
-                  f"{counted(measured.series.n, 'reading')}" for measured in test.inputs]  # fmt: skip
+        lines += [f"  {test.name}, {i.key} as measured: {counted(i.series.n, 'reading')}"
+                  for i in test.inputs]  # fmt: skip
     if problem.alternatives:
         lines.append(f"to be compared: {', '.join(problem.alternatives)}")
     return "\n".join(lines)

@@ -67,7 +67,8 @@ def specific_wear_rate(
     if share != 1.0:
         rate["mu"] = share
         if _FRICTION in problem.keys:
-            products = values[:, i] * values[:, problem.keys.index(_FRICTION)] / factor(SPECIFIC, None)
+            products = values[:, i] * values[:, problem.keys.index(_FRICTION)]
+            products = products / factor(SPECIFIC, None)
             estimate = rate["estimate"] = float(np.median(products))
             rate["sd"] = float(products.std())
             level = problem.settings.level

@@ -95,7 +95,8 @@ def case_points(problem: Problem) -> FloatArray:
         found = cases_at(case, problem.keys, values)
         good &= [not isinstance(entry, HistoryError) for entry in found]
     if good.sum() < _POINTS:
-        keys = ", ".join(f"{p.key} = [{p.bounds[0]:g}, {p.bounds[1]:g}]" for p in problem.parameters)
+        bounds = [(p.key, *p.bounds) for p in problem.parameters]
+        keys = ", ".join(f"{key} = [{low:g}, {high:g}]" for key, low, high in bounds)
         raise InputError(
             f"{problem.name}: bounds of {keys}: {good.sum()} of {_TRIED} points within them are "
             "cases; must leave room for what the wear laws allow of their numbers together"

@@ -336,9 +336,8 @@ def summary(fit: "FitResult") -> str:
     ]
     if not problem.scatters:
         lines.append(f"  intervals {of_specimens(outcome)}")
-    verdict = "does not fit" if fit.flagged else "fits"
-    lines.append(f"{'the law ' + verdict + ': ' if fit.p_value is not None else ''}{goodness(outcome)}")
-    lines.append("checks:")
+    verdict = "the law does not fit: " if fit.flagged else "the law fits: "
+    lines += [verdict * (fit.p_value is not None) + goodness(outcome), "checks:"]
     rows = check_rows(outcome)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for name, number, limit, passed in rows:
