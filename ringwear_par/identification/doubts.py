@@ -5,14 +5,14 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ValidityWarning, counted
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
@@ -55,41 +55,32 @@ class Finding(NamedTuple):
     test: str
 
 
-@dataclass(frozen=True)
-class Check:
-    """Something that was checked: a statistic and its limit."""
-
-    name: str
-    value: float
-    limit: float
-    #: whether the statistic must be less than its limit, else more
-    below: bool
-
-    @property
-    def passed(self) -> bool:
-        """Whether it is."""
-        return self.value < self.limit if self.below else self.value > self.limit
-
-
-def checks(fit: "FitResult") -> list[Check]:
-    """Return what was checked of a fit, the computation first."""
-    solution, trends = fit.solution, _trends(fit)
-    found = [
-        Check("emulators: sd of the error of log p", solution.emulator_error, _EMULATED, True),
-        Check("time steps halved: sd of the change of log p", solution.step_error, _STEPPED, True),
-        Check("effective number of draws", solution.effective, _EFFECTIVE, False),
-        Check("share of histories that failed", solution.failed / max(solution.histories, 1),
-              _FAILED, True),
-    ]  # fmt: skip
+def checks(fit: "FitResult") -> list[dict[str, Any]]:
+    """Return what was checked of a fit, the computation first, as fit.json has it."""
+    solution, trends, apart = fit.solution, _trends(fit), _disagreement(fit)
+    less = [
+        ("emulators: sd of the error of log p", solution.emulator_error, _EMULATED),
+        ("time steps halved: sd of the change of log p", solution.step_error, _STEPPED),
+        ("share of histories that failed", solution.failed / max(solution.histories, 1), _FAILED),
+    ]
+    more = [("effective number of draws", solution.effective, _EFFECTIVE)]
     if fit.p_value is not None:
-        found.append(Check("chi2: probability of one so large", fit.p_value, 1e-3, False))
+        more.append(("chi2: probability of one so large", fit.p_value, 1e-3))
     if trends:
         name = "residuals in time: least probability that they are noise"
-        found.append(Check(name, -max(trends).size, _NO_NOISE, False))
-    if (disagreement := _disagreement(fit)) is not None:
-        name = f"tests agree on {disagreement[0]}: probability"
-        found.append(Check(name, disagreement[1].probability, _NO_CHANCE, False))
-    return found
+        more.append((name, -max(trends).size, _NO_NOISE))
+    if apart is not None:
+        more.append((f"tests agree on {apart.key}: probability", apart.probability, _NO_CHANCE))
+    return [
+        {
+            "name": name,
+            "value": value if np.isfinite(value) else None,
+            "limit": limit,
+            "pass": bool(sign * value < sign * limit),
+        }
+        for sign, found in ((1.0, less), (-1.0, more))
+        for name, value, limit in found
+    ]
 
 
 def doubts(fit: "FitResult") -> list[ValidityWarning]:
@@ -99,14 +90,14 @@ def doubts(fit: "FitResult") -> list[ValidityWarning]:
 
 
 def _merged(
-    code: str, found: Sequence[Finding], sentence: Callable[[float, str, int], str]
+    code: str, found: Sequence[Finding], sentence: Callable[[float], str]
 ) -> Iterator[ValidityWarning]:
-    """Yield one doubt about all findings, by the worst one, its name and how many there are."""
+    """Yield one doubt about all findings, by a sentence about the worst one."""
     if found:
-        worst = max(found)
+        worst, more = max(found), f" and {len(found) - 1} others" * (len(found) > 1)
         tests = tuple(dict.fromkeys(finding.test for finding in found))
         values = {finding.name: abs(finding.size) for finding in found}
-        text = sentence(worst.size, worst.name, len(found))
+        text = f"{worst.name}{more}: {sentence(worst.size)}"
         yield ValidityWarning(code, text, (), tests, values)
 
 
@@ -166,8 +157,8 @@ def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
         for name, entry in of_test.items()
         if entry["n"] > _SEVERAL and entry["chi2"] > _HIGH * entry["n"] and "sd" not in entry
     ]
-    yield from _merged("series-does-not-fit", bad, lambda ratio, name, count: (
-        f"{count} series do not fit: of {name}, chi2 is {ratio:.3g} times the number of readings"
+    yield from _merged("series-does-not-fit", bad, lambda ratio: (
+        f"chi2 is {ratio:.3g} times the number of readings"
     ))  # fmt: skip
 
 
@@ -194,25 +185,23 @@ def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
             axis, unit = ("r", "mm") if series.profile else ("time", "s")
             at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
             few.append(Finding(float(far.max()), name + at, owner))
-    yield from _merged("outliers", few, lambda far, at, count: (
-        f"readings of {count} series are up to {far:.3g} sd off the model, the furthest of {at}: "
-        "check units; exclude leaves out what belongs to an edge or a stop"
+    yield from _merged("outliers", few, lambda far: (
+        f"readings are up to {far:.3g} sd off the model: check units; exclude leaves out what "
+        "belongs to an edge or a stop"
     ))  # fmt: skip
-    yield from _merged("limits-broken", broken, lambda far, name, count: (
-        f"the model is on the wrong side of limits of {count} series, by up to {far:.3g} sd of "
-        f"{name}; check censored and the unit"
+    yield from _merged("limits-broken", broken, lambda far: (
+        f"the model is on the wrong side of limits, by up to {far:.3g} sd; check censored and the "
+        "unit"
     ))  # fmt: skip
 
 
 def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about records: trends, signs, growth that may be drift, curves of inputs."""
-    yield from _merged(
-        "residuals-trend", [trend for trend in _trends(fit) if -trend.size < _NO_NOISE],
-        lambda p, name, count: (
-            f"readings of {count} series trend away from the model, most of all {name} (p = "
-            f"{-p:.1g}): they differ from it by more than noise, and intervals are too narrow"
-        ),
-    )  # fmt: skip
+    worn = [trend for trend in _trends(fit) if -trend.size < _NO_NOISE]
+    yield from _merged("residuals-trend", worn, lambda p: (
+        f"readings trend away from the model (p = {-p:.1g}): they differ from it by more than "
+        "noise, and intervals are too narrow"
+    ))  # fmt: skip
     against, alike, exclude = [], [], ""
     for test, series, part, name in _records(fit):
         if READING_KINDS[series.kind].of_wear and not series.profile:
@@ -226,19 +215,15 @@ def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
             lengths = float(series.x.max() / np.median(time))
             if lengths < _ALIKE:
                 alike.append(Finding(-lengths, name, test.experiment.name))
-    yield from _merged("readings-oppose", against, lambda _, name, count: (
-        f"{name}{_more(count)}: apart from nuisances, readings fall where the model rises; check "
-        f"their sign and the record of the test{exclude}"
+    yield from _merged("readings-oppose", against, lambda _: (
+        "apart from nuisances, readings fall where the model rises; check their sign and the "
+        f"record of the test{exclude}"
     ))  # fmt: skip
-    yield from _merged("drift-or-growth", alike, lambda lengths, name, count: (
-        f"{name}{_more(count)}: readings over {-lengths:.2g} time constants hardly tell a drift "
-        "from thermal growth; give one a prior"
+    yield from _merged("drift-or-growth", alike, lambda lengths: (
+        f"readings over {-lengths:.2g} time constants hardly tell a drift from thermal growth; "
+        "give one a prior"
     ))  # fmt: skip
     yield from input_trends(fit.problem.experiments)
-
-
-def _more(count: int) -> str:
-    return f" and {count - 1} series more" if count > 1 else ""
 
 
 def _excluded(part: tuple[float, float] | None) -> str:
@@ -276,19 +261,24 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
             if measured.smooth != "none" and p < _NO_NOISE:
                 name = f"{measured.key} ({experiment.name})"
                 found.append(Finding(-p, name, experiment.name))
-    return [*_merged("input-trend", found, lambda p, name, count: (
-        f"readings of {counted(count, 'input')} trend away from their curve, most of all {name} "
-        f"(p = {-p:.1g}), which is too smooth for a jump or a fast change; smooth must be a "
-        f'shorter time, or "none" (at most {MOST_POINTS} readings)'
+    return [*_merged("input-trend", found, lambda p: (
+        f"readings trend away from their curve (p = {-p:.1g}), which is too smooth for a jump or a "
+        f'fast change; smooth must be a shorter time, or "none" (at most {MOST_POINTS} readings)'
     ))]  # fmt: skip
 
 
-class Heterogeneity(NamedTuple):
-    """Cochran's Q of a key, its degrees of freedom, and the scatter that explains it."""
+class Disagreement(NamedTuple):
+    """How values of a key differ between tests: Cochran's Q, and the scatter that explains it."""
 
     q: float
     freedom: int
     scatter: float
+    key: str
+    #: whether tests of equal conditions do
+    equal: bool
+    #: of the key, median of the tests, by their own readings
+    own_sd: float
+    tests: tuple[str, ...]
 
     @property
     def probability(self) -> float:
@@ -298,68 +288,64 @@ class Heterogeneity(NamedTuple):
 
 def heterogeneity(
     score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
-) -> Heterogeneity:
-    """Return the heterogeneity within groups of tests, by scores and information (tests,)."""
+) -> tuple[float, int, float]:
+    """Return Q, its freedom and the scatter within groups of tests, by scores (tests,)."""
     q, freedom, size = 0.0, 0, 0.0
     for tests in groups:
-        if len(tests) < 2:
-            continue
-        s, a = score[list(tests)], information[list(tests)]
-        q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
-        freedom += len(tests) - 1
-        size += float(a.sum() - (a**2).sum() / a.sum())
+        if len(tests) > 1:
+            s, a = score[[*tests]], information[[*tests]]
+            q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
+            freedom += len(tests) - 1
+            size += float(a.sum() - (a**2).sum() / a.sum())
     scatter = np.sqrt(max(q - freedom, 0.0) / size) if size > 0.0 else 0.0
-    return Heterogeneity(q, freedom, float(scatter))
-
-
-Disagreement = tuple[str, Heterogeneity, bool, float, tuple[str, ...]]
+    return q, freedom, float(scatter)
 
 
 def _disagreement(fit: "FitResult") -> Disagreement | None:
-    """Return the key of a rate that differs most between tests, and how much; None: none can.
-
-    Also whether of tests of equal conditions, the sd by their own readings, and which tests.
-    """
+    """Return the key of a rate that differs most between tests, and how much; None: none can."""
     problem, found = fit.problem, []
     score = np.array([squares.score[0] for squares in fit.squares])
     information = np.array([np.diag(squares.information[0]) for squares in fit.squares])
-    conditions = defaultdict(list)
+    equal_tests = defaultdict(list)
     for i, experiment in enumerate(problem.experiments):
-        conditions[experiment.conditions].append(i)
+        equal_tests[experiment.conditions].append(i)
     for j, (key, parameter) in enumerate(zip(problem.keys, problem.parameters, strict=True)):
         a = information[:, j]
         informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
         free = parameter.scatter is None and fit.entries[key]["verdict"] == "identified"
         if len(informed) < 2 or not free or not key.startswith(_RATES):
             continue
-        groups = [[i for i in tests if i in informed] for tests in conditions.values()]
-        alike = heterogeneity(score[:, j], a, groups)
-        equal = alike.probability < _NO_CHANCE
-        worst = alike if equal else heterogeneity(score[:, j], a, [informed])
-        names = tuple(problem.experiments[i].name for i in informed)
-        found.append((key, worst, equal, float(np.median(a[informed] ** -0.5)), names))
+        groups = [[i for i in tests if i in informed] for tests in equal_tests.values()]
+        about = (
+            float(np.median(a[informed] ** -0.5)),
+            tuple(problem.experiments[i].name for i in informed),
+        )
+        alike = Disagreement(*heterogeneity(score[:, j], a, groups), key, True, *about)
+        every = Disagreement(*heterogeneity(score[:, j], a, [informed]), key, False, *about)
+        found.append(alike if alike.probability < _NO_CHANCE else every)
     # one that scatters makes the others look as if they did
-    return max(found, key=lambda entry: entry[1].q, default=None)
+    return max(found, key=lambda entry: entry.q, default=None)
 
 
 def _of_tests(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield a doubt about the key of a rate whose values differ most between tests."""
-    if (found := _disagreement(fit)) is None or found[1].probability >= _NO_CHANCE:
+    if (found := _disagreement(fit)) is None or found.probability >= _NO_CHANCE:
         return
-    key, worst, equal, own_sd, names = found
+    key = found.key
     log = fit.problem.parameters[fit.problem.keys.index(key)].log
     unit = "" if log else unit_of_key(fit.problem, key)
-
-    def size(value: float) -> str:
-        return f"{100.0 * value:.2g} %" if log else f"{value:.2g}{unit}"
-
-    text = (
-        f"{key} scatters between tests of {'equal' if equal else 'different'} conditions by "
-        f"{size(worst.scatter)} (DerSimonian-Laird), but the readings explain only "
-        f'{size(own_sd)}: use scatter = "fit"{"" if equal else ", or another law"}'
+    scatter, own = (
+        f"{100.0 * size:.2g} %" if log else f"{size:.2g}{unit}"
+        for size in (found.scatter, found.own_sd)
     )
-    values = {**worst._asdict(), "p": worst.probability, "readings": own_sd}
-    yield ValidityWarning("tests-disagree", text, (key,), names, values)
+    text = (
+        f"{key} scatters between tests of {'equal' if found.equal else 'different'} conditions by "
+        f"{scatter} (DerSimonian-Laird), but the readings explain only {own}: use "
+        f'scatter = "fit"{"" if found.equal else ", or another law"}'
+    )
+    values = {"q": found.q, "freedom": found.freedom, "scatter": found.scatter,
+              "p": found.probability, "readings": found.own_sd}  # fmt: skip
+    yield ValidityWarning("tests-disagree", text, (key,), found.tests, values)
 
 
 def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
@@ -425,9 +411,12 @@ def assumptions(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
             for sentence in series.assumptions + series.suspicions:
                 found[sentence].append(Finding(0.0, f"{series.name} ({test.name})", test.name))
-    every = []
-    for text, of in found.items():
-        tests = tuple(dict.fromkeys(finding.test for finding in of))
-        sentence = f"{of[0].name}{_more(len(of))}: {text}"
-        every.append(ValidityWarning("assumed-unit", sentence, (), tests))
-    return every
+    return [
+        doubt
+        for text, of in found.items()
+        for doubt in _merged("assumed-unit", of, partial(_always, text))
+    ]
+
+
+def _always(text: str, _: float) -> str:
+    return text

@@ -129,11 +129,7 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "failed_histories": solution.failed,
         "steps": solution.steps,
         "draws": {"effective": solution.effective, "stored": len(fit.draws)},
-        "checks": [
-            {"name": c.name, "value": c.value if np.isfinite(c.value) else None, "limit": c.limit,
-             "pass": c.passed}
-            for c in checks(fit)
-        ],
+        "checks": checks(fit),
         "doubts": [doubt.to_dict() for doubt in fit.doubts],
         "warnings": [doubt.text for doubt in fit.doubts],
         "alternatives": {

@@ -189,7 +189,8 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
         share, depth = shares[:, body], float(solution.depths[body])
         if not process.fitted:
             known = float(share[0])
-            entries[key] = {"size": {"known": known**2 * depth}, "share": {"known": known},
+            size = process.size or known**2 * depth
+            entries[key] = {"size": {"known": size}, "share": {"known": known},
                             "depth": depth, "verdict": "identified"}  # fmt: skip
             continue
         low, high = np.quantile(share, tails).tolist()
