@@ -34,8 +34,12 @@ class Table:
     def __call__(self, x: FloatArray) -> FloatArray: ...
     def __call__(self, x: float | FloatArray) -> float | FloatArray:
         """Return the value at x."""
-        y = np.interp(x, self.x, self.y)
+        y = np.interp(x, *self._arrays)
         return y if isinstance(x, np.ndarray) else float(y)
+
+    @cached_property
+    def _arrays(self) -> tuple[FloatArray, FloatArray]:
+        return np.array(self.x), np.array(self.y)
 
     @cached_property
     def _areas(self) -> FloatArray:
@@ -74,13 +78,22 @@ class Stacked:
         tables = any(isinstance(q, Table) for q in self.quantities)
         return None if tables else np.array(self.quantities)
 
+    @cached_property
+    def _is_one(self) -> bool:
+        """Whether all histories share one table."""
+        return all(quantity is self.quantities[0] for quantity in self.quantities)
+
     def value(self, time: float | FloatArray, r: FloatArray | None) -> FloatArray:
         """Return (B,) values at times (B,); (B, 1) at a column, (B, n) where one is a profile."""
         column = np.ndim(time) > 1
         if self.numbers is not None:
             return self.numbers[:, None] if column else self.numbers
-        times = np.broadcast_to(np.ravel(time), len(self.quantities)).tolist()
-        values = [value(q, t, r) for q, t in zip(self.quantities, times, strict=True)]
+        times = np.broadcast_to(np.ravel(time), len(self.quantities))
+        first = self.quantities[0]
+        if isinstance(first, Table) and first.axis == "t" and self._is_one:
+            at_once: FloatArray = first(times)
+            return at_once[:, None] if column else at_once
+        values = [value(q, t, r) for q, t in zip(self.quantities, times.tolist(), strict=True)]
         return np.array(np.broadcast_arrays(*map(np.atleast_1d, values)) if column else values)
 
 

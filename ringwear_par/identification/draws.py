@@ -67,7 +67,9 @@ class Draws:
     def __len__(self) -> int:
         return len(self.material)
 
-    def unknowns(self, of: str, count: int, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    def unknowns(
+        self, of: str, count: int, random: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
         """Return unknowns (count, m), and sizes of the random wear (count, 2) mm.
 
         Parameters
@@ -152,7 +154,8 @@ def write_draws(
         group.attrs["fit"] = json.dumps(
             {
                 "keys": draws.keys, "units": draws.units, "logarithmic": draws.logarithmic.tolist(),
-                "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter], "specimens": draws.specimens,
+                "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter],
+                "specimens": draws.specimens,
                 "laws": dict(draws.laws), "conditions": draws.conditions.tolist(),
                 "log_evidence": draws.log_evidence, "effective": draws.effective,
             }
@@ -167,7 +170,13 @@ def write_draws(
         for j, (key, unit) in enumerate(zip(draws.keys, draws.units, strict=True)):
             put(key, values[:, j], unit, "value of the material")
             if any(scattering == key for scattering, _ in draws.scatter):
-                put(f"{key} of tests", of_tests[..., j], unit, "value of the test's specimen", "test")
+                put(
+                    f"{key} of tests",
+                    of_tests[..., j],
+                    unit,
+                    "value of the test's specimen",
+                    "test",
+                )
         for (key, level), sd in draws.scatter.items():
             put(_scatter_name(key, level), sd, "1", "standard deviation of the unknown")
         for body, sizes in zip(BODIES, draws.process.T, strict=True):

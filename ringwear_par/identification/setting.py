@@ -40,7 +40,7 @@ def needs_middle(problem: Problem) -> bool:
 def settings_at(
     readings: Readings, old: list[Setting], middle: FloatArray, shares: FloatArray, *, first: bool
 ) -> list[Setting]:
-    """Return the settings of all tests at unknowns (tests, m); the old ones where there is no history.
+    """Return the settings of all tests at unknowns (tests, m), the old ones without a history.
 
     Friction is told anew by torques there: ``readings.problem`` changes. On the first rank.
 
@@ -54,22 +54,21 @@ def settings_at(
     problem = readings.problem
     predicted = [y[0] for y in readings([(i, x[None]) for i, x in enumerate(middle)])]
     clocks, depths = random_wear(readings, middle)
+    known = np.array(
+        [
+            np.nan if process.fitted else process.share or np.sqrt((process.size or 0.0) / depth)
+            for process, depth in zip(problem.settings.process.values(), depths, strict=True)
+        ]
+    )
+    shares = np.where(np.isnan(known), shares, known)
     settings = []
     for i, test in enumerate(problem.experiments):
         if not np.isfinite(predicted[i]).all():
             settings.append(old[i])
             continue
-        setting = replace(old[i], clocks=tuple(clocks[i]), scales=_scales(readings, i, middle))
-        if clocks[i]:
-            known = [p.share for p in problem.settings.process.values()]
-            sizes = [p.size for p in problem.settings.process.values()]
-            fixed = [
-                np.nan if share is None and size is None
-                else share if size is None
-                else np.sqrt(size / depth)
-                for share, size, depth in zip(known, sizes, depths, strict=True)
-            ]  # fmt: skip
-            setting = replace(setting, shares=np.array(fixed, dtype=float))
+        setting = replace(
+            old[i], clocks=tuple(clocks[i]), shares=known, scales=_scales(readings, i, middle)
+        )
         adapted = TestLikelihood(test, setting, shares).adapted(predicted[i], problem.settings.loss)
         settings.append(replace(adapted, sd=setting.sd) if first else adapted)
     return settings
@@ -93,9 +92,14 @@ def random_wear(
     for place, body in enumerate(bodies):
         factors = tuple(1.0 + _DIFFERENCE * (b == body) for b in range(len(BODIES)))
         faster = [y[0] for y in readings(wanted, factors=(factors[0], factors[1]))]
-        slopes.append([(f - u)[: t.n] / _DIFFERENCE for f, u, t in zip(faster, usual, tests, strict=True)])
+        slopes.append(
+            [(f - u)[: t.n] / _DIFFERENCE for f, u, t in zip(faster, usual, tests, strict=True)]
+        )
         worn.append(
-            [u[(1 + place) * t.n : (2 + place) * t.n] / t.case.area for u, t in zip(usual, tests, strict=True)]
+            [
+                u[(1 + place) * t.n : (2 + place) * t.n] / t.case.area
+                for u, t in zip(usual, tests, strict=True)
+            ]
         )
     readings.problem = problem
     depths = np.array([max((np.nanmax(d, initial=1e-300) for d in w), default=0.0) for w in worn])
@@ -110,10 +114,16 @@ def random_wear(
 
 
 def _with_volumes(test: Experiment, bodies: list[int]) -> Experiment:
-    """Return a test that also has the volumes worn off some bodies, at the times of all readings."""
+    """Return a test that has volumes worn off some bodies, too, at the times of all readings."""
     times = np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
     more = [
-        Series(f"volume.{BODIES[b]}", f"volume.{BODIES[b]}", times, np.zeros_like(times), np.ones_like(times))
+        Series(
+            f"volume.{BODIES[b]}",
+            f"volume.{BODIES[b]}",
+            times,
+            np.zeros_like(times),
+            np.ones_like(times),
+        )
         for b in bodies
     ]
     return replace(test, series=(*test.series, *more))

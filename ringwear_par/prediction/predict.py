@@ -1,9 +1,9 @@
 """``rw.predict`` and ``ringwear predict``: what a fit says of a case that was not tested."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -11,23 +11,22 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.errors import ComputationError, InputError, counted
+from ringwear_par.files.folders import PREDICTION, check_folder
+from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.problem import Experiment
-from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.model.histories import cases_at, step_times
+from ringwear_par.identification.draws import NEXT, Draws
+from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.draws import draw_paces, draw_values
-from ringwear_par.prediction.folder import files_line, prepare
-from ringwear_par.prediction.known import (
-    FitKnowledge,
-    check_predicted,
-    doubts_of,
-    fit_knowledge,
-    sources_of,
-)
+from ringwear_par.prediction.folder import FILES
+from ringwear_par.prediction.known import check_predicted, doubts_of, fit_knowledge
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction, read_depth
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.fit_result import FitResult
 
 #: equal steps besides those of fits: noise is interpolated within a step
 _EVEN = 50
@@ -35,24 +34,12 @@ _EVEN = 50
 _NEAR = 0.2
 #: largest share of the draws that may fail
 _MOST_FAILED = 0.1
-
-Source = FitResult | Path | str
-
-
-@dataclass(frozen=True, eq=False)
-class _Job:
-    """What all ranks compute: a case at values (draws, m) of the fit's keys."""
-
-    known: FitKnowledge
-    case: Case
-    of: str
-    seed: int
-    points: FloatArray
-    sizes: FloatArray
+#: mean wear of a step over the size of the noise below which a step wears nothing, or almost never
+_LEAST_SHAPE = 1e-12
 
 
 def predict(
-    fit: Source,
+    fit: "FitResult | Path | str",
     case: Case | Path | str | Mapping[str, Any],
     *,
     of: str = "next specimen",
@@ -80,13 +67,12 @@ def predict(
 
     Raises
     ------
-    InputError : the folder, the case, keys of the fit that it does not have, or a fit that does not
-        know all of them.
+    InputError : the folder, the case, or keys and laws of the fit that it does not have.
     ComputationError : the histories.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    job = on_first_rank(comm, lambda: _job(fit, case, (), of, draws, seed))
-    return _predicted(job, comm)
+    drawn = on_first_rank(comm, lambda: _drawn(fit, case, (), of, draws, seed))
+    return _predicted(*drawn, comm)
 
 
 def run_predict(
@@ -108,90 +94,110 @@ def run_predict(
     depth : of penetration with its unit, whose time is told.
     """
 
-    def read() -> tuple[_Job, float | None]:
+    def read() -> tuple[Case, Prediction]:
         faults: list[str] = []
         mm = None if depth is None else read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
-        job = _job(fit, case, overrides, of, draws, seed, "--")
-        prepare(folder)
-        return job, mm
+        whole, drawn = _drawn(fit, case, overrides, of, draws, seed, "--")
+        check_folder(folder, FILES, "predict")
+        announce_replacement(folder / PREDICTION)
+        return whole, replace(drawn, depth=mm)
 
-    job, mm = on_first_rank(comm, read)
-    result = replace(_predicted(job, comm), depth=mm)
+    result = _predicted(*on_first_rank(comm, read), comm)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
-        print(files_line(folder))
+        print(closing_line(folder, FILES))
 
 
-def _job(
-    fit: Source,
+def _drawn(
+    fit: "FitResult | Path | str",
     case: Case | Path | str | Mapping[str, Any],
     overrides: Overrides,
     of: str,
-    draws: int,
+    count: int,
     seed: int,
     dashes: str = "",
-) -> _Job:
-    """Return the job of all ranks, with its draws; ``dashes`` of the command's. On one rank."""
-    for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
+) -> tuple[Case, Prediction]:
+    """Return a case, and its prediction without histories; ``dashes`` of options. On one rank."""
+    for name, number, least in (("draws", count, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
             raise InputError(f"{dashes}{name} = {number!r}: must be a whole number >= {least}")
     known = fit_knowledge(fit)
-    name = str(case) if isinstance(case, Path | str) else "case"
+    draws, name = known.draws, str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
     refuse_stop(case, name, "in a prediction")
-    check_predicted(known, case, name, of, dashes)
-    random = np.random.default_rng(seed)
-    return _Job(known, case, of, seed, *draw_values(known.values, of, draws, random))
+    check_predicted(draws, case, name, of, dashes)
+    unknowns, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
+    return case, Prediction(
+        of, known.name, case.stored_text, seed, dict(zip(draws.keys, draws.units, strict=True)),
+        draws.values(unknowns), sizes, (*_sources(draws, of, sizes),), doubts_of(known, case, of),
+    )  # fmt: skip
 
 
-def _predicted(job: _Job, comm: MPI.Comm) -> Prediction:
-    """Return the prediction of a job. Collective on comm."""
-    case, keys, ends = job.case, job.known.values.keys, _step_ends(job.case)
-    output = Output(profiles="last", fields=("pressure",))
-    failures: dict[int, Exception] = {}
+def _sources(draws: Draws, of: str, sizes: FloatArray) -> Iterator[str]:
+    """Yield sentences about what was drawn, with sizes (draws, 2) mm of the random wear."""
+    yield f"posterior of the fit to {counted(len({*draws.specimens}), 'specimen')}"
+    if draws.scatter and of == NEXT:
+        yield f"scatter of {', '.join(dict.fromkeys(key for key, _ in draws.scatter))}"
+    if sizes.any():
+        yield f"wear at random, size {1e6 * np.median(sizes.max(axis=1)):.3g} nm"
+
+
+def _predicted(case: Case, drawn: Prediction, comm: MPI.Comm) -> Prediction:
+    """Return a prediction with its histories. Collective on comm."""
+    ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
+    errors: list[Exception] = []
     cases: dict[int, Case] = {}
-    for draw, at_values in enumerate(cases_at(case, keys, job.points)):
+    for draw, at_values in enumerate(cases_at(case, [*drawn.keys], drawn.values)):
         if isinstance(at_values, Case):
             cases[draw] = replace(at_values, output=output, stress=None)
         else:
-            failures[draw] = at_values
+            errors.append(at_values)
 
-    def compute(paces: Mapping[int, FloatArray] | None) -> dict[int, Result]:
-        left = [draw for draw in cases if draw not in failures]
-        left_paces = None if paces is None else [paces[draw] for draw in left]
-        outcomes = results_of([cases[d] for d in left], comm, step_times=ends, paces=left_paces)
-        results = {}
-        for draw, outcome in zip(left, outcomes, strict=True):
-            if isinstance(outcome, Result):
-                results[draw] = outcome
-            else:
-                failures[draw] = outcome.error
-        return results
+    def compute(draws: Collection[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
+        outcomes = results_of([cases[d] for d in draws], comm, step_times=ends, paces=paces)
+        errors.extend(outcome.error for outcome in outcomes if not isinstance(outcome, Result))
+        return {d: r for d, r in zip(draws, outcomes, strict=True) if isinstance(r, Result)}
 
-    results = compute(None)
-    if job.sizes.any() and results:
-        depths = {
-            draw: np.stack([r.histories[f"worn_volume_{b}"][1:] for b in ("lower", "upper")])
-            / case.area
-            for draw, r in results.items()
-        }
-        random = np.random.default_rng([job.seed, 1])
-        drawn = draw_paces(np.stack([*depths.values()]), job.sizes[:, [*depths]], random)
-        results = compute(dict(zip(depths, drawn, strict=True)))
-    if len(failures) > _MOST_FAILED * len(job.points):
-        raise ComputationError(
-            f"{len(failures)} of {len(job.points)} draws have no history: {failures[min(failures)]}"
-        )
-    left, known = sorted(results), job.known
-    return Prediction(
-        job.of, known.name, case.stored_text, job.seed, known.units, job.points[left],
-        job.sizes[:, left], results[left[0]].histories["time"],
-        {name: np.stack([results[d].histories[name] for d in left]) for name in QUANTITIES},
-        len(failures), sources_of(known, job.of, job.sizes), doubts_of(known, case, job.of),
+    results = compute(cases, None)
+    if drawn.sizes.any() and results:
+        volumes = np.stack(
+            [[result.histories[f"worn_volume_{body}"][1:] for body in BODIES]
+             for result in results.values()]
+        )  # fmt: skip
+        random = np.random.default_rng([drawn.seed, 1])
+        paces = draw_paces(volumes / case.area, drawn.sizes[[*results]], random)
+        results = compute(results, [*paces])
+    count, left = len(drawn.values), [*results]
+    if len(errors) > _MOST_FAILED * count:
+        raise ComputationError(f"{len(errors)} of {count} draws have no history: {errors[0]}")
+    return replace(
+        drawn, values=drawn.values[left], sizes=drawn.sizes[left], failed=len(errors),
+        time=results[left[0]].histories["time"],
+        histories={q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
     )  # fmt: skip
+
+
+def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:
+    """Return factors on the rates of steps, (draws, 2, steps), of means 1.
+
+    Worn depth becomes a gamma process: its increment over a mean increment dS has a mean dS and a
+    variance size dS.
+
+    Parameters
+    ----------
+    depths : (draws, 2, steps) float, mm, mean worn depths of lower and upper at the ends of steps.
+    sizes : (draws, 2) float, mm; 0: no noise.
+    """
+    increments = np.diff(depths, axis=-1, prepend=0.0)
+    sizes = np.broadcast_to(sizes[:, :, None], increments.shape)
+    shapes = np.divide(increments, sizes, out=np.zeros_like(increments), where=sizes > 0.0)
+    paces = np.ones_like(increments)
+    noisy = shapes > _LEAST_SHAPE
+    paces[noisy] = random.gamma(shapes[noisy]) / shapes[noisy]
+    return paces
 
 
 def _step_ends(case: Case) -> list[float]:

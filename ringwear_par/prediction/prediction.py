@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Outcome
@@ -87,48 +88,38 @@ def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Prediction(Outcome):
-    """Histories of a case, one a draw.
+    """Histories of a case, one a draw."""
 
-    Parameters
-    ----------
-    of : "next specimen", "material" or the name of a specimen.
-    fit : what messages call the fit.
-    case : TOML text of the case.
-    seed : of the draws.
-    keys : of the fit, with their units.
-    values : (draws, m) of these.
-    sizes : (2, draws) mm, of the process noise of lower and upper; 0: none.
-    time : (steps,) s.
-    histories : (draws, steps) each, by name, see ``QUANTITIES``.
-    failed : draws that were left out, as their histories could not be computed.
-    sources : sentences about what was drawn.
-    doubts : what speaks against the numbers.
-    versions : of the software.
-    depth : mm of penetration, whose time the summary tells; None: none.
-    """
+    functions: ClassVar = dict.fromkeys(
+        ("summary", "to_dict", "plot", "save"), "ringwear_par.prediction.folder"
+    )
 
-    functions: ClassVar = {
-        "summary": "ringwear_par.prediction.summary", "to_dict": "ringwear_par.prediction.summary",
-        "plot": "ringwear_par.prediction.folder", "save": "ringwear_par.prediction.folder",
-    }  # fmt: skip
-
+    #: "next specimen", "material" or the name of a specimen; what messages call the fit
     of: str
     fit: str
+    #: TOML text of the case
     case: str
     seed: int
+    #: of the fit, with their units
     keys: Mapping[str, str]
+    #: (draws, m) of the keys
     values: FloatArray
+    #: (draws, 2) mm, of the random wear of lower and upper; 0: none
     sizes: FloatArray
-    time: FloatArray
-    histories: Mapping[str, FloatArray]
-    failed: int
+    #: sentences about what was drawn, and what speaks against the numbers
     sources: tuple[str, ...]
     doubts: tuple[ValidityWarning, ...]
+    #: (steps,) s, and histories (draws, steps) by name, see ``QUANTITIES``
+    time: FloatArray = field(default_factory=lambda: np.zeros(0))
+    histories: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: draws that were left out, as their histories could not be computed
+    failed: int = 0
     versions: Mapping[str, str] = field(default_factory=versions)
+    #: mm of penetration, whose time the summary tells; None: none
     depth: float | None = None
 
     def __repr__(self) -> str:
-        return f"<Prediction of {self.of}: {len(self.values)} draws to {self.time[-1]:g} s>"
+        return f"<Prediction of {self.of}: {len(self.values)} draws>"
 
     @property
     def whose(self) -> str:
@@ -166,35 +157,27 @@ class Prediction(Outcome):
         """
         if not depth > 0.0:
             raise InputError(f"depth = {depth!r}: must be > 0 mm")
-        times = times_at(self.time, self.histories["penetration"], depth)
-        return TimeTo.of(times)
+        return TimeTo.of(times_at(self.time, self.histories["penetration"], depth))
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return all variables with their values: histories over (draw, step), values over draw."""
-        draw, step = (
+        axes = [
             Variable(name, (name,), "1", f"number of the {name}", integer=True)
             for name in ("draw", "step")
-        )
-        histories = [
-            (
-                Variable(name, ("draw", "step"), HISTORIES[name].unit, HISTORIES[name].meaning),
-                values,
-            )
-            for name, values in self.histories.items()
         ]
-        drawn = [
-            (Variable(key, ("draw",), unit, "value of the fitted key"), values)
-            for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True)
-        ]
-        noise = [
-            (Variable(f"process.{body}", ("draw",), "mm", "size of the process noise"), sizes)
-            for body, sizes in zip(("wear.lower", "wear.upper"), self.sizes, strict=True)
-            if sizes.any()
-        ]
-        return [
-            (draw, np.arange(len(self.values))), (step, np.arange(len(self.time))),
-            (Variable("time", ("step",), "s", "time"), self.time), *histories, *drawn, *noise,
+        variables: list[tuple[Variable, Any]] = [
+            (axes[0], np.arange(len(self.values))), (axes[1], np.arange(len(self.time))),
+            (Variable("time", ("step",), "s", "time"), self.time),
         ]  # fmt: skip
+        for name, values in self.histories.items():
+            variables.append((replace(HISTORIES[name], dimensions=("draw", "step")), values))
+        for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True):
+            variables.append((Variable(key, ("draw",), unit, "value of the fitted key"), values))
+        for body, sizes in zip(BODIES, self.sizes.T, strict=True):
+            if sizes.any():
+                name, meaning = f"process.wear.{body}", "size of the random wear"
+                variables.append((Variable(name, ("draw",), "mm", meaning), sizes))
+        return variables
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all draws over (draw, step).

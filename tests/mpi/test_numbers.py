@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from drawn import draws_of, fit_of
 from laboratory import TRUTH, fit_tables, write_tests
 from mpi4py import MPI
 from paths import CASES, PAPER
@@ -192,3 +193,11 @@ def test_a_design(comm, tables):
     tables["design"] = {"vary": {"load.pressure": [40.0, 96.0]}, "budget": {"experiments": 2}}
     found, known = rw.design(tables, comm).to_dict(), rw.design(tables, ALONE).to_dict()
     assert found["designs"][0]["experiments"] == known["designs"][0]["experiments"]
+
+
+def test_a_prediction(comm):
+    """The same draws and random wear, whoever computed their histories."""
+    case = case_of("adaptive")
+    fit = fit_of(draws_of(case, p0=np.linspace(0.0, 30.0, 200), tau=0.2, size=1e-5))
+    found, known = (rw.predict(fit, case, draws=7, comm=c).to_xarray() for c in (comm, ALONE))
+    assert_same(found, known, 1e-12)

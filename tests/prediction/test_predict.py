@@ -1,163 +1,186 @@
-"""Predictions of a case that was not tested: from a fit and from its folder."""
+"""Predictions of a case that was not tested, from draws that are known, and from their folder."""
 
-import dataclasses
 import json
 import re
 
 import numpy as np
 import pytest
-from laboratory import CASE, TRUTH, fit_tables, history, one_test, penetration, record
+from drawn import P0, SD, TAU, K, draws_of, fit_of, save_fit
+from laboratory import CASE
 from mpi4py import MPI
-from parts import law_names, main
+from parts import TimeTo, draw_paces, fit_knowledge, main, times_at
+from scipy.stats import norm
 
 import ringwear_par as rw
-from ringwear_par.prediction import predict as module
-from ringwear_par.prediction.known import doubts_of, fit_knowledge
 
-FACTORS = (0.8, 1.0, 1.1, 1.3)
-K = "wear.lower.k"
-ADAPTIVE = {"time.scheme": "adaptive", "time.step": None, "time.steps": None}
-ELSEWHERE = {**ADAPTIVE, "load.pressure": 110.0, "load.omega": 3.5, "time.end": 150.0}
-
-
-@pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    """The folder of a fit of four specimens, and the fit."""
-    folder = tmp_path_factory.mktemp("fit")
-    rng, experiments = np.random.default_rng(4), []
-    for number, factor in enumerate(FACTORS, start=1):
-        pressure = (45.0, 80.0)[number % 2]
-        t, z = penetration(history(pressure, {**TRUTH, K: TRUTH[K] * factor}), rng)
-        data = record(folder / f"z{number}.csv", t, z, nuisance={"offset": {}})
-        experiments.append(one_test(f"test {number}", pressure, data))
-    (folder / "case.toml").write_text(CASE)
-    tables = fit_tables(folder, experiments)
-    tables["fit"]["parameters"] = json.loads(json.dumps(tables["fit"]["parameters"]))
-    tables["fit"]["parameters"][K]["scatter"] = "fit"
-    fit = rw.fit(tables, MPI.COMM_SELF)
-    fit.save(folder / "out")
-    return folder / "out", fit
+ALONE = MPI.COMM_SELF
+#: standard errors that a moment may be off
+OFF = 4.0
+ARCHARD = {"wear.lower.law": "archard", "wear.lower.p0": None}
+ADAPTIVE = {"time.scheme": "adaptive", "time.step": None, "time.steps": None, "time.end": 150.0}
 
 
 @pytest.fixture(scope="module")
-def case(found):
-    return rw.read_case(found[0].parent / "case.toml", ELSEWHERE)
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("case") / "case.toml"
+    path.write_text(CASE)
+    return path
 
 
-def test_the_folder_knows_what_the_fit_knows(found, case):
-    folder, fit = found
-    of_folder, of_fit = (
-        rw.predict(source, case, draws=8, seed=3, comm=MPI.COMM_SELF) for source in (folder, fit)
+@pytest.fixture(scope="module")
+def threshold(file):
+    return rw.read_case(file, ADAPTIVE)
+
+
+@pytest.fixture(scope="module")
+def archard(threshold):
+    return threshold.replace(ARCHARD)
+
+
+def predicted(known, case, **how):
+    return rw.predict(fit_of(known), case, comm=ALONE, **how)
+
+
+def test_the_band_of_the_depth_is_at_quantiles_of_k(archard):
+    """Depth grows with k, and is one function of k t."""
+    found = predicted(draws_of(archard), archard, draws=200, of="material")
+    shares = (0.025, 0.5, 0.975)
+    ends = np.exp(np.log(1e-7) + SD * norm.ppf(shares))
+    exact = [
+        rw.simulate(archard.replace({K: k, "time.tolerance": 1e-6}), ALONE).histories["penetration"]
+        for k in ends
+    ]
+    assert found.quantiles("penetration", shares)[:, -1] == pytest.approx(
+        [depth[-1] for depth in exact], rel=0.01
     )
-    assert np.array_equal(of_folder.values, of_fit.values)
-    for name, values in of_fit.histories.items():
-        assert np.array_equal(of_folder.histories[name], values)
-    dataset = of_folder.to_xarray()
-    assert dataset.penetration.dims == ("draw", "step")
+    life = found.time_to(0.8 * exact[1][-1])
+    assert life.reached == pytest.approx(norm.cdf(np.log(1.25) / SD), abs=0.02)
+    assert found.to_xarray().penetration.dims == ("draw", "step")
+    assert [doubt.code for doubt in found.doubts] == []
 
 
-def test_a_specimen_is_known_better_than_the_material_and_the_next_one(found, case):
-    _, fit = found
-    at = {
-        of: rw.predict(fit, case, of=of, draws=200, comm=MPI.COMM_SELF)
-        for of in ("next specimen", "material", "test 1")
-    }
-    spread = {of: np.log(p.histories["penetration"][:, -1]).std() for of, p in at.items()}
-    assert spread["next specimen"] > 1.3 * spread["material"]
-    assert spread["material"] > 2.0 * spread["test 1"]
-    entry = fit.to_dict()["parameters"][K]
-    low, high = np.quantile(at["next specimen"].values[:, 0], (0.025, 0.975))
-    assert np.log([low, high]) == pytest.approx(np.log(entry["next"]), abs=0.25)
-    median = np.median(at["test 1"].values[:, 0])
-    assert median == pytest.approx(entry["each"]["test 1"]["estimate"], rel=0.05)
-    codes = [(d.code, d.values.get("condition")) for d in at["material"].doubts]
-    beyond = [("extrapolates", name) for name in ("p", "pV", "distance")]
-    assert codes == [*beyond, ("fit-warnings", None)]
-    shorter = case.replace({"time.end": 0.01 * case.time.end})
-    doubts = doubts_of(fit_knowledge(fit), shorter, "material")
-    assert [d.values.get("condition") for d in doubts] == ["p", "pV", None]  # a part of a test
-    drawn = np.random.default_rng(3).standard_normal((400, 200))  # mm; others of 200 each
-    ends = np.quantile(drawn, (0.025, 0.975), axis=1).std(axis=1)
-    penetration = np.quantile(drawn, np.arange(0.5, 200) / 200)[:, None]
-    normal = dataclasses.replace(
-        at["material"], histories={**at["material"].histories, "penetration": penetration}
-    )
-    (error,) = re.findall(r"uncertain by (\S+) um", normal.summary())
-    assert float(error) == pytest.approx(1e3 * ends.mean(), rel=0.3)
+def test_whom_a_prediction_is_of(archard):
+    draws = draws_of(archard, tau=TAU, size=1e-5)
+    at = {of: predicted(draws, archard, draws=200, of=of)
+          for of in ("next specimen", "material", "S2")}  # fmt: skip
+    logs = {of: np.log(one.values[:, 0]) for of, one in at.items()}
+    assert logs["material"].std() == pytest.approx(SD, rel=0.03)
+    assert logs["next specimen"].std() == pytest.approx(np.hypot(SD, TAU), rel=0.2)
+    assert at["S2"].values == pytest.approx(1.5e-7)
+    assert not at["material"].sizes.any()
+    assert at["S2"].histories["penetration"][:, -1].std() > 0.0  # wears at random
+    assert at["next specimen"].sources == (
+        "posterior of the fit to 2 specimens", f"scatter of {K}", "wear at random, size 10 nm"
+    )  # fmt: skip
+    near = draws_of(archard, k=9e-6, tau=TAU)
+    short = predicted(near, archard.replace({"time.end": 1.5}), draws=20)
+    assert (short.values < 1e-5).all()  # reflected
+    with pytest.raises(rw.ComputationError, match="of 20 draws have no history"):
+        predicted(near, archard, draws=20)
 
 
-def test_without_scatter_the_band_is_of_the_specimens_tested(found, case, monkeypatch):
-    known = fit_knowledge(found[1])
-    values = dataclasses.replace(
-        known.values, scattering=known.values.scattering[:0], scatters=known.values.scatters[:, :0]
-    )
-    monkeypatch.setattr(
-        module, "fit_knowledge", lambda _: dataclasses.replace(known, values=values)
-    )
-    both = [rw.predict(found[1], case, of=of, draws=2, comm=MPI.COMM_SELF)
-            for of in ("next specimen", "test 2")]  # fmt: skip
-    assert [one.whose for one in both] == ["the specimens tested", "test 2"]
-    assert [one.doubts[0].code for one in both] == ["no-scatter", "one-value"]
+def test_a_depth_is_reached_by_some_draws_only():
+    """Draw i wears i um/s, linearly between unequal steps."""
+    time, speeds = np.array([0.0, 1.0, 4.0, 10.0]), np.arange(1, 101)
+    times = times_at(time, 1e-3 * np.outer(speeds, time), 0.1)
+    assert times[9:] == pytest.approx(100.0 / speeds[9:])
+    assert np.isinf(times[:9]).all()
+    reached = TimeTo.of(times)
+    assert reached.reached == pytest.approx(0.91)
+    assert reached.median == pytest.approx(100.0 / 51)
+    assert reached.interval == (pytest.approx(100.0 / 98), None)
 
 
-def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
-    """Variance of worn depth: size times depth, where values are known."""
-    _, fit = found
+def test_a_key_at_its_bound_is_predicted_from(threshold):
+    p0 = np.maximum(np.random.default_rng(1).normal(0.0, 20.0, 200), 0.0)
+    found = predicted(draws_of(threshold, p0=p0), threshold, draws=100, of="material")
+    assert 0.4 < (found.values[:, 1] == 0.0).mean() < 0.6
+    assert np.isfinite(found.quantiles()).all()
+    assert found.failed == 0
+
+
+def test_doubts(archard):
+    fit = fit_of(draws_of(archard), warnings=("one", "two"))
+    elsewhere = archard.replace({"load.pressure": 150.0, "time.end": 1.5})
+    found = rw.predict(fit, elsewhere, draws=2, comm=ALONE)
+    codes = [(doubt.code, doubt.values.get("condition")) for doubt in found.doubts]
+    assert codes == [  # not the distance: a part of a test
+        ("no-scatter", None), ("extrapolates", "p"), ("extrapolates", "pV"), ("fit-warnings", None)
+    ]  # fmt: skip
+    assert found.whose == "the specimens tested"
+    assert "the fit itself has 2 warnings" in found.summary()
+
+
+def test_worn_depth_is_a_gamma_process():
+    """Mean S and variance size S at every S, whatever the steps; none without noise."""
+    count, size, depth = 40_000, 1e-5, np.cumsum([1e-6, 0.0, 3e-6, 6e-6, 40e-6])
+    depths = np.tile(depth, (count, 2, 1))
+    paces = draw_paces(depths, np.tile([size, 0.0], (count, 1)), np.random.default_rng(3))
+    worn = np.cumsum(paces * np.diff(depths, prepend=0.0), axis=-1)
+    assert (paces[:, 1] == 1.0).all()
+    sd = np.sqrt(size * depth)
+    assert np.abs((worn[:, 0].mean(axis=0) - depth) / sd).max() < OFF / np.sqrt(count)
+    kurtosis = 3.0 + 6.0 * size / depth
+    off = np.abs(worn[:, 0].var(axis=0) / sd**2 - 1.0)
+    assert (off < OFF * np.sqrt((kurtosis - 1.0) / count)).all()
+
+
+def test_random_wear_spreads_a_prediction(archard):
+    """Variance of worn depth: size times depth, where k is known."""
     size = 2e-5
-    known = fit_knowledge(fit)
-    parts = {name: getattr(known.values, name)[:1] for name in ("means", "scatters")}
-    parts |= {"weights": np.ones(1), "covariances": 0.0 * known.values.covariances[:1]}
-    parts |= {"sizes": np.array([[size, 0.0]])}
-    known = dataclasses.replace(known, values=dataclasses.replace(known.values, **parts))
-    monkeypatch.setattr(module, "fit_knowledge", lambda _: known)
-    noisy = rw.predict(fit, case, of="test 2", draws=500, comm=MPI.COMM_SELF)
-    depth = noisy.histories["worn_volume_lower"][:, [20, 40, -1]] / case.area
-    parts["sizes"] = np.zeros((1, 2))
-    known = dataclasses.replace(known, values=dataclasses.replace(known.values, **parts))
-    plain = rw.predict(fit, case, of="test 2", draws=1, comm=MPI.COMM_SELF)
-    mean = plain.histories["worn_volume_lower"][0, [20, 40, -1]] / case.area
-    assert depth.mean(axis=0) == pytest.approx(mean, rel=0.04)
-    assert depth.var(axis=0) == pytest.approx(size * mean, rel=0.27)
+    noisy, plain = (
+        predicted(draws_of(archard, size=s), archard, of="S2", draws=n)
+        for s, n in ((size, 500), (0.0, 1))
+    )
+    steps = [20, 40, -1]
+    worn, mean = (one.histories["worn_volume_lower"][:, steps] / archard.area
+                  for one in (noisy, plain))  # fmt: skip
+    assert worn.mean(axis=0) == pytest.approx(mean[0], rel=0.04)
+    assert worn.var(axis=0) == pytest.approx(size * mean[0], rel=0.27)
 
 
-def test_what_is_refused(found, case, tmp_path):
-    folder, fit = found
-    design, interrupted = tmp_path / "design", tmp_path / "interrupted"
-    design.mkdir()
-    (design / "design.json").write_text("{}")
-    (interrupted / "progress").mkdir(parents=True)
-    other = case.replace({"wear.lower.law": "archard", "wear.lower.p0": None})
-    for source, case_, options, said in (
-        (tmp_path, case, {}, "fit.json"), (tmp_path / "none", case, {}, "exist"),
-        (design, case, {}, "design"), (interrupted, case, {}, "interrupted"),
-        (folder, tmp_path / "no.toml", {}, "no.toml"), (folder, other, {}, "wear.lower.law"),
-        (fit, case, {"of": "S9"}, '"test 1", "test 2"'), (fit, case, {"draws": 0}, "draws"),
-        (fit, case, {"seed": -1}, "seed"), ({}, case, {}, "dict"),
+def test_the_folder_knows_what_the_fit_knows(archard, threshold, tmp_path):
+    other = draws_of(threshold, p0=np.full(200, 3.0))
+    fit = fit_of(draws_of(archard, tau=TAU), ("one",), threshold=other)
+    folder = save_fit(tmp_path / "fit", fit)
+    known = fit_knowledge(folder)
+    assert known.warnings == 1
+    assert known.laws["threshold"].material == pytest.approx(other.material)
+    one, same = (rw.predict(f, archard, draws=8, seed=3, comm=ALONE) for f in (fit, folder))
+    assert same.values == pytest.approx(one.values, rel=1e-12)
+    assert same.quantiles() == pytest.approx(one.quantiles(), rel=1e-9)
+    assert same.doubts == one.doubts
+
+
+def test_what_is_refused(archard, threshold, tmp_path):
+    fit = fit_of(draws_of(archard))
+    broken = save_fit(tmp_path / "fit", fit)
+    (broken / "fit.json").write_text("{}")
+    old = save_fit(tmp_path / "old", fit)
+    (old / "draws.nc").unlink()
+    without = fit_of(draws_of(threshold, p0=np.zeros(200)))
+    for source, case, options, said in (
+        (tmp_path, archard, {}, "fit.json"), (tmp_path / "none", archard, {}, "folder"),
+        (old, archard, {}, "draws.nc"), (broken, archard, {}, "damaged"),
+        (fit, tmp_path / "no.toml", {}, "no.toml"), (fit, threshold, {}, 'must be "archard"'),
+        (fit, archard, {"of": "S9"}, '"S1", "S2"'),
+        (without, archard, {}, f'must be "threshold", of which the fit found {K}, {P0}'),
+        (fit, archard, {"draws": 0}, "draws"), (fit, archard, {"seed": -1}, "seed"),
+        ({}, archard, {}, "dict"),
     ):  # fmt: skip
         with pytest.raises(rw.InputError, match=re.escape(said)):
-            rw.predict(source, case_, comm=MPI.COMM_SELF, **options)
+            rw.predict(source, case, comm=ALONE, **options)
+    found = predicted(draws_of(archard), archard, draws=2)
+    with pytest.raises(rw.InputError, match="> 0"):
+        found.time_to(-1.0)
+    with pytest.raises(rw.InputError, match="penetration"):
+        found.quantiles("depth")
 
 
-def test_names_tell_laws_of_layers_and_users_apart(case, tmp_path):
-    layer = {"thickness": 2e-3, "young": 1e5, "poisson": 0.3, "wear": {"law": "archard", "k": 3e-9}}
-    names = []
-    for power in "12":
-        (tmp_path / "law.py").write_text(f"def rate(p, v, k):\n    return k * p**{power} * v\n")
-        law = {
-            "wear.lower.law": "user",
-            "wear.lower.file": str(tmp_path / "law.py"),
-            "wear.lower.p0": None,
-        }
-        names.append(law_names(case.replace(law | {"lower.layers": [layer]})))
-    assert [name["lower.layers[0].wear"] for name in names] == ["archard", "archard"]
-    assert names[0]["wear.lower"].split()[0] == names[1]["wear.lower"].split()[0] == "user"
-    assert names[0] != names[1]
-
-
-def test_the_command(found, tmp_path, capsys):
-    folder, _ = found
-    out, case = tmp_path / "out", folder.parent / "case.toml"
-    words = ["predict", str(folder), str(case), "--draws", "4", "--set", "load.pressure=60", "-o"]
+def test_the_command(file, threshold, tmp_path, capsys):
+    folder = save_fit(tmp_path / "fit", fit_of(draws_of(threshold, p0=np.zeros(200), tau=TAU)))
+    out = tmp_path / "out"
+    words = ["predict", str(folder), str(file), "--draws", "4", "--set", "load.pressure=60", "-o"]
     assert main([*words, str(out), "--depth", "1 um"]) == 0
     output = capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {

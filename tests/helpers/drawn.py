@@ -1,0 +1,51 @@
+"""Draws as a fit of one law's keys has them, made up for tests; and the folder of such a fit."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+from parts import Draws, conditions_of, law_names, write_draws
+from scipy.stats import norm
+
+K, P0 = "wear.lower.k", "wear.lower.p0"
+#: standard deviation of log k of the material, and between specimens
+SD, TAU = 0.1, 0.3
+BOUNDS = {K: (1e-9, 1e-5), P0: (0.0, 200.0)}
+
+
+def draws_of(case, count=200, k=1e-7, p0=None, tau=0.0, size=0.0):
+    """Return draws after tests of a case: log k, at quantiles of a normal, and p0 (draws,).
+
+    Specimen "S2" has 1.5 k, exactly; ``size`` is that of the random wear of lower.
+    """
+    keys = (K,) if p0 is None else (K, P0)
+    material = np.log(k) + SD * norm.ppf((np.arange(count) + 0.5) / count)[:, None]
+    material = material if p0 is None else np.column_stack([material, p0])
+    tests = np.stack([material, material], axis=1)
+    tests[:, 1, 0] = np.log(1.5 * k)
+    return Draws(
+        keys, ("1/MPa", "MPa")[: len(keys)], np.array([True, False])[: len(keys)],
+        np.array([BOUNDS[key] for key in keys]), material, tests,
+        {(K, "specimen"): np.full(count, tau)} if tau else {},
+        np.tile([size, 0.0], (count, 1)), ("S1", "S2"), law_names(case),
+        np.tile(conditions_of(case, keys), (2, 1)), -3.0, 0.5 * count,
+    )  # fmt: skip
+
+
+def fit_of(draws, warnings=(), **laws):
+    """Return what rooms read of a fit with these draws, and of laws compared, by name."""
+    alternatives = {law: SimpleNamespace(draws=of_law) for law, of_law in laws.items()}
+    return SimpleNamespace(draws=draws, doubts=warnings, alternatives=alternatives)
+
+
+def save_fit(folder, fit):
+    """Write what rooms read of a fit's folder; one more law failed."""
+    folder.mkdir()
+    laws = {"failed": {"error": "no history"}} | {law: {} for law in fit.alternatives}
+    content = {"parameters": {key: {} for key in fit.draws.keys},
+               "warnings": [*fit.doubts], "alternatives": laws}  # fmt: skip
+    (folder / "fit.json").write_text(json.dumps(content))
+    write_draws(folder / "draws.nc", fit.draws, {}, {}, {})
+    for number, other in enumerate(fit.alternatives.values(), start=1):
+        write_draws(folder / f"draws_{number}.nc", other.draws, {}, {}, {})
+    return folder
