@@ -204,7 +204,8 @@ def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
     ))  # fmt: skip
     against, alike, exclude = [], [], ""
     for test, series, part, name in _records(fit):
-        if READING_KINDS[series.kind].of_wear and not series.profile:
+        values = not test.censored[part].any()
+        if values and READING_KINDS[series.kind].of_wear and not series.profile:
             record = Record(test.experiment, series, test.pure[part])
             if record.opposes():
                 against.append(Finding(0.0, name, test.experiment.name))
@@ -393,7 +394,13 @@ def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about draws that are not those of the posterior."""
     if fit.solution.weighed:
         yield ValidityWarning("weighed", fit.solution.weighed)
-    if _STEPPED <= fit.solution.step_error < np.inf:
+    elif not np.isfinite(fit.solution.step_error):
+        text = (
+            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
+            "narrower bounds or priors would help"
+        )
+        yield ValidityWarning("not-settled", text)
+    elif fit.solution.step_error >= _STEPPED:
         text = f"time steps half as long would change log p by {fit.solution.step_error:.2g} (sd)"
         yield ValidityWarning("step-dependent", text)
     if fit.solution.failed > _FAILED * fit.solution.histories:

@@ -24,6 +24,8 @@ _NOT_FELT, _WIDTHS = 0.5, 10.0
 _POINTS, _TRIED = 8, 512
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
+#: change of the model, in sd, below which it has no sign
+_SEEN = 0.1
 #: nuisances that leave the sign of a record as it is
 _HARMLESS = ("offset", "level", "tilt", "thermal")
 #: parts of a record at its ends that are compared with the model's sign grow by 1 / this of it
@@ -207,7 +209,11 @@ class Record:
                 both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
         both = _rest(columns, both)
         (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
-        return bool(data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1])
+        return bool(
+            data @ wear < _OPPOSITE * sizes.prod()
+            and -data @ wear > _SURE * sizes[1]
+            and sizes[1] > _SEEN
+        )
 
     @property
     def follows(self) -> bool:
