@@ -208,7 +208,7 @@ def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
         if values and READING_KINDS[series.kind].of_wear and not series.profile:
             record = Record(test.experiment, series, test.pure[part])
             if record.opposes():
-                against.append(Finding(0.0, name, test.experiment.name))
+                against.append(Finding(-float(len(against)), name, test.experiment.name))
                 exclude = exclude or _excluded(record.exclude)
         time = test.growth_times.get(test.experiment.series.index(series))
         flat = {n.kind for n in series.nuisances if n.prior is None}
