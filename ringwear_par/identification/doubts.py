@@ -102,17 +102,13 @@ def _merged(
 
 
 def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about keys that are not identified, or at a bound, and what depends on these."""
+    """Yield doubts about keys that are not identified, or only by the bound of another."""
     entries = fit.entries
     lost = [key for key, entry in entries.items() if entry["verdict"] == "not identified"]
     for words in dict.fromkeys(entries[key]["direction"] for key in lost):
         keys = tuple(key for key in lost if entries[key]["direction"] == words)
         text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
         yield ValidityWarning("not-identified", text, keys)
-    for key, entry in entries.items():
-        if entry["verdict"] == "at bound":
-            text = f"{key} is at its bound {bound_of(entry):g}: its interval has one limit only"
-            yield ValidityWarning("at-bound", text, (key,))
     for key, other, correlation in conditions(fit):
         text = (
             f"{key} is identified only by the bound {bound_of(entries[other]):g} of {other}: "

@@ -372,6 +372,4 @@ def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
         flag = "; does not fit" * (verdict == "does not fit")
         text = f"{', '.join(numbers)}; {parameters}{flag}" if parameters else verdict
         lines.append(f"  {name}: {text}")
-    if all(row[-1] == "does not fit" or not row[1] for row in rows):
-        lines.append("  none of them fits")
     return lines
