@@ -148,8 +148,9 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
     theta = solution.theta[rows]
     sizes = np.zeros((len(rows), len(BODIES)))
     shares = posterior.shares(theta, posterior.known)
-    for place, key in enumerate(problem.settings.process):
-        sizes[:, BODIES.index(body_of_wear(key))] = shares[:, place] ** 2 * solution.depths[place]
+    for place, (key, process) in enumerate(problem.settings.process.items()):
+        found = shares[:, place] ** 2 * solution.depths[place]
+        sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
     units = units_of(problem)
     draws = Draws(
         keys=problem.keys, units=tuple(units[key] for key in problem.keys),
