@@ -198,7 +198,9 @@ def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
         f"readings trend away from the model (p = {-p:.1g}): they differ from it by more than "
         "noise, and intervals are too narrow"
     ))  # fmt: skip
-    against, alike, exclude = [], [], ""
+    against: list[Finding] = []
+    alike: list[Finding] = []
+    exclude = ""
     for test, series, part, name in _records(fit):
         values = not test.censored[part].any()
         if values and READING_KINDS[series.kind].of_wear and not series.profile:

@@ -11,9 +11,10 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
+from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import Problem, body_of_wear
+from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import fitted_test, local_squares
@@ -85,6 +86,12 @@ def fit_problem(problem: Problem, comm: MPI.Intracomm, *, compare: bool = False)
 
 def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> FitResult:
     """Return the result under one law. Collective on comm."""
+    if problem.settings.process:  # matrices of all readings of a test
+        tests = [
+            replace(test, series=tuple(_few(series, test.case.time.end) for series in test.series))
+            for test in problem.experiments
+        ]
+        problem = problem.with_experiments(tuple(tests))
     readings = Readings(problem, comm, signals)
 
     def lead() -> FitResult:
@@ -92,6 +99,10 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
         return _result(readings, solve(readings))
 
     return readings.lead(lead)
+
+
+def _few(series: Series, end: float) -> Series:
+    return averaged(series, end) if series.n > BLOCKS else series
 
 
 def _result(readings: Readings, solution: Solution) -> FitResult:

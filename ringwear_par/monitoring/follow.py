@@ -19,6 +19,7 @@ from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, wr
 from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.draws import NEXT
+from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.monitoring.answer import Answer
 from ringwear_par.monitoring.follower import Follower
@@ -93,8 +94,6 @@ def run_follow(
     fit: Any = after
     if after is None:
         others = on_first_rank(comm, running.other_tests)
-        from ringwear_par.identification.fit import fit_problem
-
         fit = fit_problem(others, comm)
     followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}

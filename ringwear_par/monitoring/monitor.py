@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.identification.definition.fitted_parameters import unit_scale
-from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.draws import Draws
+from ringwear_par.identification.fit_numbers import in_users_unit
 from ringwear_par.identification.summary import probabilities
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal
 from ringwear_par.monitoring.follower import Follower, Specimen
@@ -128,7 +128,8 @@ class Monitor:
                 "unit": units[parameter.key], "estimate": median, "interval": (low, high),
                 "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
             }  # fmt: skip
-            keys[parameter.key] = {**entry, **_told(parameter, entry)}
+            told = in_users_unit(parameter, entry, problem.experiments[0].case)
+            keys[parameter.key] = entry if told is None else {**entry, "told": told}
         key = problem.keys[targets.key]
         percent = keys[key]["percent"]
         when, less = time_to_goal(
@@ -222,17 +223,6 @@ class Monitor:
             bands=[Band(time, low, high, level, ("low", "high"))],
             points=[Points(series.x / seconds, factor * value, "readings, less offset and drift")],
         )  # fmt: skip
-
-
-def _told(parameter: FittedParameter, entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the numbers of a key in its user's unit, where that is another one."""
-    if not parameter.unit:
-        return {}
-    scale = unit_scale(parameter)
-    numbers = {
-        name: np.divide(entry[name], scale).tolist() for name in ("estimate", "interval", "before")
-    }
-    return {"told": {"unit": parameter.unit, "scale": scale, **numbers}}
 
 
 def quantiles(values: FloatArray, weights: FloatArray, probabilities: Any) -> FloatArray:
