@@ -5,7 +5,6 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -47,41 +46,40 @@ _FEW = 2
 _EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
 
 
-@dataclass(frozen=True)
-class Check:
-    """Something that was checked: a statistic and its limit."""
+class Finding(NamedTuple):
+    """Something about a series: how bad it is, what it is called, and its test."""
 
+    size: float
     name: str
-    value: float
-    limit: float
-    #: whether the statistic must be less than its limit, else more
-    below: bool
-
-    @property
-    def passed(self) -> bool:
-        """Whether it is."""
-        return self.value < self.limit if self.below else self.value > self.limit
+    test: str
 
 
-def checks(fit: "FitResult") -> list[Check]:
-    """Return what was checked of a fit, the computation first."""
-    solution, trends = fit.solution, [p for _, _, p in _trends(fit)]
-    found = [
-        Check("emulators: sd of the error of log p", solution.emulator_error, _EMULATED, True),
-        Check("time steps halved: sd of the change of log p", solution.step_error, _STEPPED, True),
-        Check("effective number of draws", solution.effective, _EFFECTIVE, False),
-        Check("share of histories that failed", solution.failed / max(solution.histories, 1),
-              _FAILED, True),
-    ]  # fmt: skip
+def checks(fit: "FitResult") -> list[dict[str, Any]]:
+    """Return what was checked of a fit, the computation first, as fit.json has it."""
+    solution, trends, apart = fit.solution, _trends(fit), _disagreement(fit)
+    less = [
+        ("emulators: sd of the error of log p", solution.emulator_error, _EMULATED),
+        ("time steps halved: sd of the change of log p", solution.step_error, _STEPPED),
+        ("share of histories that failed", solution.failed / max(solution.histories, 1), _FAILED),
+    ]
+    more = [("effective number of draws", solution.effective, _EFFECTIVE)]
     if fit.p_value is not None:
-        found.append(Check("chi2: probability of one so large", fit.p_value, 1e-3, False))
+        more.append(("chi2: probability of one so large", fit.p_value, 1e-3))
     if trends:
         name = "residuals in time: least probability that they are noise"
-        found.append(Check(name, min(trends), _NO_NOISE, False))
-    if (disagreement := _disagreement(fit)) is not None:
-        name = f"tests agree on {disagreement[0]}: probability"
-        found.append(Check(name, disagreement[1].probability, _NO_CHANCE, False))
-    return found
+        more.append((name, -max(trends).size, _NO_NOISE))
+    if apart is not None:
+        more.append((f"tests agree on {apart.key}: probability", apart.probability, _NO_CHANCE))
+    return [
+        {
+            "name": name,
+            "value": value if np.isfinite(value) else None,
+            "limit": limit,
+            "pass": bool(sign * value < sign * limit),
+        }
+        for sign, found in ((1.0, less), (-1.0, more))
+        for name, value, limit in found
+    ]
 
 
 def doubts(fit: "FitResult") -> list[ValidityWarning]:
@@ -90,18 +88,28 @@ def doubts(fit: "FitResult") -> list[ValidityWarning]:
     return [*(doubt for of in found for doubt in of(fit)), *assumptions(fit.problem.experiments)]
 
 
+def _merged(code: str, found: Sequence[Finding], sentence: str) -> Iterator[ValidityWarning]:
+    """Yield one doubt about all findings, by a sentence with the size of the worst one."""
+    if found:
+        worst, rest = max(found), len(found) - 1
+        more = f" and {counted(rest, 'other')}" * bool(rest)
+        tests = tuple(dict.fromkeys(finding.test for finding in found))
+        values = {finding.name: abs(finding.size) for finding in found}
+        text = f"{worst.name}{more}: {sentence.format(abs(worst.size))}"
+        yield ValidityWarning(code, text, (), tests, values)
+
+
 def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about keys that are not identified, or at a bound, and what depends on these."""
-    for key, entry in fit.entries.items():
-        if entry["verdict"] == "not identified":
-            text = f"{key} is not identified: {entry['direction']}"
-            yield ValidityWarning("not-identified", text, (key,))
-        elif entry["verdict"] == "at bound":
-            text = f"{key} is at its bound {bound_of(entry):g}: its interval has one limit only"
-            yield ValidityWarning("at-bound", text, (key,))
+    """Yield doubts about keys that are not identified, or only by the bound of another."""
+    entries = fit.entries
+    lost = [key for key, entry in entries.items() if entry["verdict"] == "not identified"]
+    for words in dict.fromkeys(entries[key]["direction"] for key in lost):
+        keys = tuple(key for key in lost if entries[key]["direction"] == words)
+        text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
+        yield ValidityWarning("not-identified", text, keys)
     for key, other, correlation in conditions(fit):
         text = (
-            f"{key} is identified only by the bound {bound_of(fit.entries[other]):g} of {other}: "
+            f"{key} is identified only by the bound {bound_of(entries[other]):g} of {other}: "
             f"they are correlated by {correlation:+.2f}"
         )
         values = {"correlation": correlation}
@@ -138,140 +146,99 @@ def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
         if fit.alternatives and all(other.flagged for other in fit.alternatives.values()):
             yield ValidityWarning("no-law-fits", "none of the laws compared fits either")
     bad = [
-        (entry["chi2"] / entry["n"], f"{name} ({test})", test)
+        Finding(entry["chi2"] / entry["n"], f"{name} ({test})", test)
         for test, of_test in fit.experiments.items()
         for name, entry in of_test.items()
         if entry["n"] > _SEVERAL and entry["chi2"] > _HIGH * entry["n"] and "sd" not in entry
     ]
-    if bad:
-        worst, name, _ = max(bad)
-        text = f"{_series(bad)} not fit: of {name}, chi2 is {worst:.3g} times the number of readings"
-        values = {name: ratio for ratio, name, _ in bad}
-        yield ValidityWarning("series-does-not-fit", text, (), _tests(bad), values)
+    text = "chi2 is {:.3g} times the number of readings"
+    yield from _merged("series-does-not-fit", bad, text)
 
 
-def _series(found: Sequence[Any]) -> str:
-    return f"{len(found)} series {'does' if len(found) == 1 else 'do'}"
-
-
-def _tests(found: Sequence[tuple[Any, ...]]) -> tuple[str, ...]:
-    """Return the names of tests, the last of each entry, each once."""
-    return tuple(dict.fromkeys(str(entry[-1]) for entry in found))
+def _records(fit: "FitResult") -> Iterator[tuple[FittedTest, Series, slice, str]]:
+    """Yield the test, the series, where its readings are, and its name, of all records."""
+    for test in fit.tests:
+        for series, part in test.records:
+            yield test, series, part, f"{series.name} ({test.experiment.name})"
 
 
 def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about readings that do not fit at all, and limits that do not hold."""
     few, broken = [], []
-    for test in fit.tests:
-        for series, part in test.records:
-            far, limit = np.abs(test.residuals[part]), test.censored[part] != 0.0
-            name = f"{series.name} ({test.experiment.name})"
-            wrong = limit & (far > _FAR) & (test.censored[part] * test.residuals[part] > 0.0)
-            if wrong.any():
-                broken.append((far[wrong].max(), wrong.sum(), name, test.experiment.name))
-            outside = ~limit & (far > _FAR)
-            share = float(far[outside] @ far[outside] / max(far[~limit] @ far[~limit], 1e-300))
-            if not series.sd_fitted and outside.any() and (
-                outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
-            ):  # fmt: skip
-                axis, unit = ("r", "mm") if series.profile else ("time", "s")
-                place = f" at {axis} = {series.x[np.argmax(far * outside)]:.6g} {unit}"
-                at = f"{name}{place * (series.n > 1)}"
-                few.append((far[outside].max(), outside.sum(), at, test.experiment.name))
-    if few:
-        most, _, at, _ = max(few)
-        text = (
-            f"{counted(int(sum(entry[1] for entry in few)), 'reading')} of "
-            f"{len(few)} series up to {most:.3g} sd off the model, the "
-            f"furthest of {at}: check units; exclude leaves out what belongs to an edge or a stop"
-        )
-        values = {entry[2]: float(entry[0]) for entry in few}
-        yield ValidityWarning("outliers", text, (), _tests(few), values)
-    if broken:
-        most, _, name, _ = max(broken)
-        count = int(sum(entry[1] for entry in broken))
-        text = (
-            f"the model is on the wrong side of {counted(count, 'limit')}, by up to {most:.3g} sd "
-            f"of {name}; check censored and the unit"
-        )
-        values = {entry[2]: float(entry[0]) for entry in broken}
-        yield ValidityWarning("limits-broken", text, (), _tests(broken), values)
+    for test, series, part, name in _records(fit):
+        off, side = test.residuals[part], test.censored[part]
+        far, owner = np.abs(off), test.experiment.name
+        if (wrong := (side * off > _FAR)).any():
+            broken.append(Finding(float(far[wrong].max()), name, owner))
+        far[side != 0.0] = 0.0
+        outside = far > _FAR
+        share = float(far[outside] @ far[outside] / max(far @ far, 1e-300))
+        rare = outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
+        if outside.any() and rare and not series.sd_fitted:
+            axis, unit = ("r", "mm") if series.profile else ("time", "s")
+            at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
+            few.append(Finding(float(far.max()), name + at, owner))
+    text = "up to {:.3g} sd off the model: check units; exclude leaves out an edge or a stop"
+    yield from _merged("outliers", few, text)
+    text = "the model is up to {:.3g} sd on the wrong side of limits; check censored and units"
+    yield from _merged("limits-broken", broken, text)
 
 
 def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about records: trends, signs, growth that may be drift, curves of inputs."""
-    worn = [(p, f"{series.name} ({test.experiment.name})", test.experiment.name)
-            for test, series, p in _trends(fit) if p < _NO_NOISE]  # fmt: skip
-    if worn:
-        p, name, _ = min(worn)
-        text = (
-            f"readings of {len(worn)} series trend away from the model, most "
-            f"of all {name} (p = {p:.1g}): they differ from it by more than noise, and intervals "
-            "are too narrow"
-        )
-        values = {series: probability for probability, series, _ in worn}
-        yield ValidityWarning("residuals-trend", text, (), _tests(worn), values)
-    yield from _oppositions(fit.tests)
-    alike = [
-        (series.x.max(), float(np.median(test.growth_times[number])), f"{series.name} ("
-         f"{test.experiment.name})", test.experiment.name)
-        for test in fit.tests for number, series in enumerate(test.experiment.series)
-        if number in test.growth_times
-        and {"drift", "thermal"} <= {n.kind for n in series.nuisances if n.prior is None}
-        and series.x.max() < _ALIKE * np.median(test.growth_times[number])
-    ]  # fmt: skip
-    if alike:
-        last, time, name, _ = alike[0]
-        text = (
-            f"{name}: readings until {last:.4g} s hardly tell a drift from thermal growth with a "
-            f"time constant of {time:.3g} s{_more(alike)}; give one a prior"
-        )
-        yield ValidityWarning("drift-or-growth", text, (), _tests(alike))
+    text = (
+        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
+        "and intervals are too narrow"
+    )
+    yield from _merged("residuals-trend", [f for f in _trends(fit) if -f.size < _NO_NOISE], text)
+    against: list[Finding] = []
+    alike: list[Finding] = []
+    exclude = ""
+    for test, series, part, name in _records(fit):
+        values = not test.censored[part].any()
+        if values and READING_KINDS[series.kind].of_wear and not series.profile:
+            record = Record(test.experiment, series, test.pure[part])
+            if record.opposes():
+                against.append(Finding(-float(len(against)), name, test.experiment.name))
+                exclude = exclude or _excluded(record.exclude)
+        time = test.growth_times.get(test.experiment.series.index(series))
+        flat = {n.kind for n in series.nuisances if n.prior is None}
+        if time is not None and {"drift", "thermal"} <= flat:
+            lengths = float(series.x.max() / np.median(time))
+            if lengths < _ALIKE:
+                alike.append(Finding(-lengths, name, test.experiment.name))
+    text = (
+        "apart from nuisances, readings fall where the model rises; check their sign and the "
+        f"record of the test{exclude}"
+    )
+    yield from _merged("readings-oppose", against, text)
+    text = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
+    yield from _merged("drift-or-growth", alike, text)
     yield from input_trends(fit.problem.experiments)
 
 
-def _more(found: Sequence[Any]) -> str:
-    return f" (and {len(found) - 1} series more)" if len(found) > 1 else ""
+def _excluded(part: tuple[float, float] | None) -> str:
+    """Return what to do about a part of a record that opposes the model."""
+    if part is None:
+        return ""
+    first, last = part
+    return (
+        f"; if readings from {first:.10g} to {last:.10g} s show something else than wear, leave "
+        f"them out: exclude = [[{first:.10g}, {last:.10g}]]"
+    )
 
 
-def _trends(fit: "FitResult") -> list[tuple[FittedTest, Series, float]]:
-    """Return tests, their records in time, and how probable their residuals are if noise."""
+def _trends(fit: "FitResult") -> list[Finding]:
+    """Return how probable, times -1, the residuals of records in time are if they are noise."""
     found = []
-    for test in fit.tests:
-        for series, part in test.records:
-            values = test.censored[part] == 0.0
-            if not series.profile and values.any():
-                # noise that is given is no smaller than that
-                least = 0.0 if series.sd_fitted else 1.0
-                p = trend(test.residuals[part][values], len(series.nuisances), least)
-                found.append((test, series, p))
+    for test, series, part, name in _records(fit):
+        values = test.censored[part] == 0.0
+        if not series.profile and values.any():
+            # noise that is given is no smaller than that
+            least = 0.0 if series.sd_fitted else 1.0
+            p = trend(test.residuals[part][values], len(series.nuisances), least)
+            found.append(Finding(-p, name, test.experiment.name))
     return found
-
-
-def _oppositions(tests: Sequence[FittedTest]) -> Iterator[ValidityWarning]:
-    """Yield a doubt about records that fall where the model's, without nuisances, rise."""
-    against = []
-    for test in tests:
-        for series, part in test.records:
-            if READING_KINDS[series.kind].of_wear and not series.profile:
-                record = Record(test.experiment, series, test.pure[part])
-                if record.opposes():
-                    name = f"{series.name} ({test.experiment.name})"
-                    against.append((record.exclude, name, test.experiment.name))
-    if not against:
-        return
-    exclude, name, _ = against[0]
-    text = f"{name}: apart from nuisances, readings fall where the model rises{_more(against)}"
-    if exclude is None:
-        text += "; check their sign and the record of the test"
-    else:
-        span = f"{exclude[0]:.10g}, {exclude[1]:.10g}"
-        text += (
-            f", because of the readings from {exclude[0]:.10g} to {exclude[1]:.10g} s; if these "
-            f"show something else than wear, leave them out: exclude = [[{span}]]"
-        )
-    values = {series: None if part is None else [*part] for part, series, _ in against}
-    yield ValidityWarning("readings-oppose", text, (), _tests(against), values)
 
 
 def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
@@ -283,25 +250,27 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
             least = (_EXACT * float(value.mean())) ** 2
             p = trend(value - measured.curve(experiment.case)(time), least=least)
             if measured.smooth != "none" and p < _NO_NOISE:
-                found.append((p, f"{measured.key} ({experiment.name})", experiment.name))
-    if not found:
-        return []
-    p, name, _ = min(found)
+                name = f"{measured.key} ({experiment.name})"
+                found.append(Finding(-p, name, experiment.name))
     text = (
-        f"readings of {counted(len(found), 'input')} trend away from their curve, most of all "
-        f"{name} (p = {p:.1g}), which is too smooth for a jump or a fast change; smooth must be a "
-        f'shorter time, or "none" (at most {MOST_POINTS} readings)'
+        "readings trend away from their curve (p = {:.1g}), which is too smooth for a jump or a "
+        f'fast change; smooth must be a shorter time, or "none" (at most {MOST_POINTS} readings)'
     )
-    values = {name: p for p, name, _ in found}
-    return [ValidityWarning("input-trend", text, (), _tests(found), values)]
+    return [*_merged("input-trend", found, text)]
 
 
-class Heterogeneity(NamedTuple):
-    """Cochran's Q of a key, its degrees of freedom, and the scatter that explains it."""
+class Disagreement(NamedTuple):
+    """How values of a key differ between tests: Cochran's Q, and the scatter that explains it."""
 
     q: float
     freedom: int
     scatter: float
+    key: str
+    #: whether tests of equal conditions do
+    equal: bool
+    #: of the key, median of the tests, by their own readings
+    own_sd: float
+    tests: tuple[str, ...]
 
     @property
     def probability(self) -> float:
@@ -311,65 +280,64 @@ class Heterogeneity(NamedTuple):
 
 def heterogeneity(
     score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
-) -> Heterogeneity:
-    """Return the heterogeneity within groups of tests, by scores and information (tests,)."""
+) -> tuple[float, int, float]:
+    """Return Q, its freedom and the scatter within groups of tests, by scores (tests,)."""
     q, freedom, size = 0.0, 0, 0.0
     for tests in groups:
-        if len(tests) < 2:
-            continue
-        s, a = score[list(tests)], information[list(tests)]
-        q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
-        freedom += len(tests) - 1
-        size += float(a.sum() - (a**2).sum() / a.sum())
+        if len(tests) > 1:
+            s, a = score[[*tests]], information[[*tests]]
+            q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
+            freedom += len(tests) - 1
+            size += float(a.sum() - (a**2).sum() / a.sum())
     scatter = np.sqrt(max(q - freedom, 0.0) / size) if size > 0.0 else 0.0
-    return Heterogeneity(q, freedom, float(scatter))
+    return q, freedom, float(scatter)
 
 
-def _disagreement(fit: "FitResult") -> tuple[str, Heterogeneity, bool, float, tuple[str, ...]] | None:
-    """Return the key of a rate that differs most between tests, and how much; None: none can.
-
-    Also whether of tests of equal conditions, the sd by their own readings, and which tests.
-    """
+def _disagreement(fit: "FitResult") -> Disagreement | None:
+    """Return the key of a rate that differs most between tests, and how much; None: none can."""
     problem, found = fit.problem, []
     score = np.array([squares.score[0] for squares in fit.squares])
     information = np.array([np.diag(squares.information[0]) for squares in fit.squares])
-    conditions = defaultdict(list)
+    equal_tests = defaultdict(list)
     for i, experiment in enumerate(problem.experiments):
-        conditions[experiment.conditions].append(i)
+        equal_tests[experiment.conditions].append(i)
     for j, (key, parameter) in enumerate(zip(problem.keys, problem.parameters, strict=True)):
         a = information[:, j]
         informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
         free = parameter.scatter is None and fit.entries[key]["verdict"] == "identified"
         if len(informed) < 2 or not free or not key.startswith(_RATES):
             continue
-        groups = [[i for i in tests if i in informed] for tests in conditions.values()]
-        alike = heterogeneity(score[:, j], a, groups)
-        equal = alike.probability < _NO_CHANCE
-        worst = alike if equal else heterogeneity(score[:, j], a, [informed])
-        names = tuple(problem.experiments[i].name for i in informed)
-        found.append((key, worst, equal, float(np.median(a[informed] ** -0.5)), names))
+        groups = [[i for i in tests if i in informed] for tests in equal_tests.values()]
+        about = (
+            float(np.median(a[informed] ** -0.5)),
+            tuple(problem.experiments[i].name for i in informed),
+        )
+        alike = Disagreement(*heterogeneity(score[:, j], a, groups), key, True, *about)
+        every = Disagreement(*heterogeneity(score[:, j], a, [informed]), key, False, *about)
+        found.append(alike if alike.probability < _NO_CHANCE else every)
     # one that scatters makes the others look as if they did
-    return max(found, key=lambda entry: entry[1].q, default=None)
+    return max(found, key=lambda entry: entry.q, default=None)
 
 
 def _of_tests(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield a doubt about the key of a rate whose values differ most between tests."""
-    if (found := _disagreement(fit)) is None or found[1].probability >= _NO_CHANCE:
+    if (found := _disagreement(fit)) is None or found.probability >= _NO_CHANCE:
         return
-    key, worst, equal, own_sd, names = found
+    key = found.key
     log = fit.problem.parameters[fit.problem.keys.index(key)].log
     unit = "" if log else unit_of_key(fit.problem, key)
-
-    def size(value: float) -> str:
-        return f"{100.0 * value:.2g} %" if log else f"{value:.2g}{unit}"
-
-    text = (
-        f"{key} scatters between tests of {'equal' if equal else 'different'} conditions by "
-        f"{size(worst.scatter)} (DerSimonian-Laird), but the readings explain only "
-        f'{size(own_sd)}: use scatter = "fit"{"" if equal else ", or another law"}'
+    scatter, own = (
+        f"{100.0 * size:.2g} %" if log else f"{size:.2g}{unit}"
+        for size in (found.scatter, found.own_sd)
     )
-    values = {**worst._asdict(), "p": worst.probability, "readings": own_sd}
-    yield ValidityWarning("tests-disagree", text, (key,), names, values)
+    text = (
+        f"{key} scatters between tests of {'equal' if found.equal else 'different'} conditions by "
+        f"{scatter} (DerSimonian-Laird), but the readings explain only {own}: use "
+        f'scatter = "fit"{"" if found.equal else ", or another law"}'
+    )
+    values = {"q": found.q, "freedom": found.freedom, "scatter": found.scatter,
+              "p": found.probability, "readings": found.own_sd}  # fmt: skip
+    yield ValidityWarning("tests-disagree", text, (key,), found.tests, values)
 
 
 def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
@@ -417,7 +385,13 @@ def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about draws that are not those of the posterior."""
     if fit.solution.weighed:
         yield ValidityWarning("weighed", fit.solution.weighed)
-    if _STEPPED <= fit.solution.step_error < np.inf:
+    elif not np.isfinite(fit.solution.step_error):
+        text = (
+            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
+            "narrower bounds or priors would help"
+        )
+        yield ValidityWarning("not-settled", text)
+    elif fit.solution.step_error >= _STEPPED:
         text = f"time steps half as long would change log p by {fit.solution.step_error:.2g} (sd)"
         yield ValidityWarning("step-dependent", text)
     if fit.solution.failed > _FAILED * fit.solution.histories:
@@ -430,14 +404,10 @@ def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
 
 def assumptions(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
     """Return the doubts about units that no name has, or that are likely wrong, one a sentence."""
-    found: dict[str, list[tuple[str, str]]] = defaultdict(list)
+    found: dict[str, list[Finding]] = defaultdict(list)
     for test in experiments:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
             for sentence in series.assumptions + series.suspicions:
-                found[sentence].append((series.name, test.name))
-    return [
-        ValidityWarning(
-            "assumed-unit", f"{of[0][0]} ({of[0][1]}): {sentence}{_more(of)}", (), _tests(of)
-        )
-        for sentence, of in found.items()
-    ]
+                found[sentence].append(Finding(0.0, f"{series.name} ({test.name})", test.name))
+    escaped = {text.replace("{", "{{").replace("}", "}}"): of for text, of in found.items()}
+    return [d for text, of in escaped.items() for d in _merged("assumed-unit", of, text)]

@@ -184,8 +184,8 @@ def write_draws(
                 put(f"process.wear.{body}", sizes, "mm", "size of the random wear")
         for name, array in readings.items():
             group = file.create_group(name)
-            of_tests = name == "log_likelihood_test"
-            word, axis = ("test", "name") if of_tests else ("reading", "place")
+            by_test = name == "log_likelihood_test"
+            word, axis = ("test", "name") if by_test else ("reading", "place")
             axes = {axis: array.shape[-1]}
             if array.ndim == 1:
                 _axes(group, **axes)
@@ -193,7 +193,7 @@ def write_draws(
             else:
                 _axes(group, chain=CHAINS, draw=by_chain[1], **axes)
                 put(word, array, "1", name.replace("_", " "), axis)
-            for place, entries in () if of_tests else places.items():
+            for place, entries in () if by_test else places.items():
                 meaning = f"{place} of the reading"
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
 

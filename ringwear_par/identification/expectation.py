@@ -1,5 +1,6 @@
 """The dry run of a fit: what its readings would tell if the parameters had their starts."""
 
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from ringwear_par.identification.key_estimates import direction, prior_sd
 from ringwear_par.identification.likelihood import Setting, TestLikelihood
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import settings_at
+from ringwear_par.identification.summary import digits_of, limits, number
 from ringwear_par.results.execution.stop_signals import StopSignals
 
 #: share of the prior's sd above which a key would not be identified
@@ -74,31 +76,51 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
         "their start values (nothing written):",
         *warning_lines(doubt.text for doubt in assumptions(problem.experiments)),
     ]
-    width = max(map(len, problem.keys))
+    width, bounds = max(map(len, problem.keys)), np.array(problem.unknown_bounds)
     for j, parameter in enumerate(problem.parameters):
         sd, scale = float(np.sqrt(covariance[j, j])), unit_scale(parameter)
         unit = parameter.unit or units[parameter.key]
         at = parameter.unknown(parameter.start)
-        low, high = (parameter.value(at + sign * reach * sd) / scale for sign in (-1.0, 1.0))
-        text = f"{parameter.start / scale:.3g} {'' if unit in ('1', '-') else unit}".rstrip()
+        ends = [at - reach * sd, at + reach * sd]
+        low, high = bounds[:, j]
+        interval = [parameter.value(end) / scale if low < end < high else None for end in ends]
+        text = f"{number(parameter.start / scale)} {'' if unit in ('1', '-') else unit}".rstrip()
         of = " of the material" * (parameter.scatter is not None)
         if sd > _VAGUE * prior_sd(parameter):
             words = f"would not be identified: {direction(problem, covariance, j)}"
         else:
-            words = f"from {low:.3g} to {high:.3g} ({100 * level:g} %)"
+            digits = digits_of(parameter.start / scale, interval)
+            words = f"{limits(interval, digits)} ({100 * level:g} %)"
         lines.append(f"  {parameter.key.ljust(width)}  {text}{of}  {words}")
     specimens = len({test.groups[0] for test in problem.experiments})
     lines += [f"  {line}" for line in known_sizes(problem, specimens)]
-    for test in problem.experiments:
-        for series in test.series:
-            spread = np.median(series.sd) / series.factor
-            guessed = " (guessed, to be fitted)" * series.sd_fitted
-            lines.append(
-                f"  {test.name}, {series.name}: {counted(series.n, 'reading')} in {series.unit}, "
-                f"noise {spread:.3g}{guessed}"
-            )
-        lines += [f"  {test.name}, {measured.key} as measured: "
-                  f"{counted(measured.series.n, 'reading')}" for measured in test.inputs]  # fmt: skip
+    lines += _readings(problem)
     if problem.alternatives:
         lines.append(f"to be compared: {', '.join(problem.alternatives)}")
     return "\n".join(lines)
+
+
+def _readings(problem: Problem) -> list[str]:
+    """Return a line of each kind of readings: how many, of how many tests, and their noise."""
+    kinds: dict[tuple[str, str, bool], list[tuple[str, int, float]]] = defaultdict(list)
+    for test in problem.experiments:
+        for series in test.series:
+            spread = float(np.median(series.sd)) / series.factor
+            kind = series.quantity, series.unit, series.sd_fitted
+            kinds[kind].append((test.name, series.n, spread))
+        for measured in test.inputs:
+            kinds[f"{measured.key} as measured", measured.series.unit, False].append(
+                (test.name, measured.series.n, 0.0)
+            )
+    lines = []
+    for (name, unit, fitted), found in kinds.items():
+        tests = len({test for test, _, _ in found})
+        low, high = (of(spread for _, _, spread in found) for of in (min, max))
+        noise = (
+            f", noise {low:.3g}" + f" to {high:.3g}" * (f"{high:.3g}" != f"{low:.3g}") + f" {unit}"
+        )
+        text = f"  {name}: {counted(sum(n for _, n, _ in found), 'reading')} of "
+        lines.append(
+            text + counted(tests, "test") + noise * (high > 0.0) + " (to be fitted)" * fitted
+        )
+    return lines

@@ -57,7 +57,9 @@ def plot(fit: FitResult) -> Figure:
     return chart
 
 
-def drawn_series(fit: FitResult, test: FittedTest, series: Series, part: slice) -> fit_panels.Series:
+def drawn_series(
+    fit: FitResult, test: FittedTest, series: Series, part: slice
+) -> fit_panels.Series:
     """Return a series with its model, in the unit of its readings."""
     scale = 1.0 / series.factor
     return fit_panels.Series(

@@ -11,9 +11,10 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
+from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import Problem, body_of_wear
+from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import fitted_test, local_squares
@@ -85,6 +86,12 @@ def fit_problem(problem: Problem, comm: MPI.Intracomm, *, compare: bool = False)
 
 def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> FitResult:
     """Return the result under one law. Collective on comm."""
+    if problem.settings.process:  # matrices of all readings of a test
+        tests = [
+            replace(test, series=tuple(_few(series, test.case.time.end) for series in test.series))
+            for test in problem.experiments
+        ]
+        problem = problem.with_experiments(tuple(tests))
     readings = Readings(problem, comm, signals)
 
     def lead() -> FitResult:
@@ -92,6 +99,10 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
         return _result(readings, solve(readings))
 
     return readings.lead(lead)
+
+
+def _few(series: Series, end: float) -> Series:
+    return averaged(series, end) if series.n > BLOCKS else series
 
 
 def _result(readings: Readings, solution: Solution) -> FitResult:
@@ -148,8 +159,9 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
     theta = solution.theta[rows]
     sizes = np.zeros((len(rows), len(BODIES)))
     shares = posterior.shares(theta, posterior.known)
-    for place, key in enumerate(problem.settings.process):
-        sizes[:, BODIES.index(body_of_wear(key))] = shares[:, place] ** 2 * solution.depths[place]
+    for place, (key, process) in enumerate(problem.settings.process.items()):
+        found = shares[:, place] ** 2 * solution.depths[place]
+        sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
     units = units_of(problem)
     draws = Draws(
         keys=problem.keys, units=tuple(units[key] for key in problem.keys),
@@ -164,7 +176,7 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
         specimens=tuple(test.groups[0] for test in problem.experiments),
         laws=law_names(problem.experiments[0].case),
         conditions=np.array([conditions_of(t.case, problem.keys) for t in problem.experiments]),
-        log_evidence=solution.log_evidence, effective=solution.effective,
+        log_evidence=solution.log_evidence, effective=min(solution.effective, float(len(rows))),
     )  # fmt: skip
     return draws, rows
 

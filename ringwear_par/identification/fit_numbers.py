@@ -67,7 +67,8 @@ def specific_wear_rate(
     if share != 1.0:
         rate["mu"] = share
         if _FRICTION in problem.keys:
-            products = values[:, i] * values[:, problem.keys.index(_FRICTION)] / factor(SPECIFIC, None)
+            products = values[:, i] * values[:, problem.keys.index(_FRICTION)]
+            products = products / factor(SPECIFIC, None)
             estimate = rate["estimate"] = float(np.median(products))
             rate["sd"] = float(products.std())
             level = problem.settings.level
@@ -128,11 +129,7 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "failed_histories": solution.failed,
         "steps": solution.steps,
         "draws": {"effective": solution.effective, "stored": len(fit.draws)},
-        "checks": [
-            {"name": c.name, "value": c.value if np.isfinite(c.value) else None, "limit": c.limit,
-             "pass": c.passed}
-            for c in checks(fit)
-        ],
+        "checks": checks(fit),
         "doubts": [doubt.to_dict() for doubt in fit.doubts],
         "warnings": [doubt.text for doubt in fit.doubts],
         "alternatives": {

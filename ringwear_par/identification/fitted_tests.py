@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import log_ndtr
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood, sides
 from ringwear_par.identification.noise import brownian_root, coloured, whitened
@@ -27,7 +27,7 @@ class Part(NamedTuple):
     """Readings of a part of a test, see ``TestLikelihood``, each draw with its likeliest growth."""
 
     #: (n,) numbers of its readings
-    rows: np.ndarray
+    rows: IntArray
     #: (n, s) P r, see above
     scores: FloatArray
     #: (n, s) P_ii, and (n, n) P with the growth that is likeliest of all
@@ -219,7 +219,7 @@ def readings_of_draws(
 
 
 class LocalSquares(NamedTuple):
-    """log p (s,) of the readings of a test, its slopes (s, q) and minus its curvatures (s, q, q)."""
+    """log p (s,) of a test, its slopes (s, q) and minus its curvatures (s, q, q)."""
 
     log_p: FloatArray
     score: FloatArray
@@ -227,7 +227,11 @@ class LocalSquares(NamedTuple):
 
 
 def local_squares(
-    emulated: EmulatedLikelihood, x: FloatArray, shares: FloatArray, of: Sequence[int], sd: FloatArray
+    emulated: EmulatedLikelihood,
+    x: FloatArray,
+    shares: FloatArray,
+    of: Sequence[int],
+    sd: FloatArray,
 ) -> LocalSquares:
     """Return log p of a test as a quadratic form of some unknowns about x (s, m), by differences.
 

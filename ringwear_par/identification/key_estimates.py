@@ -62,7 +62,8 @@ def judged(
     at_high = len(draws) - np.searchsorted(draws, high - width) > _AT_BOUND * largest
     one = at_low != at_high
     ends = np.quantile(draws, [2.0 * tail, 1.0 - 2.0 * tail] if one else [tail, 1.0 - tail])
-    interval = [None if at else end for at, end in zip((at_low, at_high), ends.tolist(), strict=True)]
+    low_end, high_end = ends.tolist()
+    interval = [None if at_low else low_end, None if at_high else high_end]
     if (at_low and at_high) or draws.std() > _VAGUE * prior_sd:
         return "not identified", interval
     return "at bound" if one else "identified", interval
@@ -71,11 +72,11 @@ def judged(
 def prior_sd(parameter: FittedParameter) -> float:
     """Return the standard deviation of a key's unknown before any reading."""
     low, high = map(parameter.unknown, parameter.bounds)
-    flat = (high - low) / math.sqrt(12.0)
-    if parameter.prior is None:
+    flat, prior = (high - low) / math.sqrt(12.0), parameter.prior
+    if prior is None:
         return flat
-    return min(flat, parameter.prior.sd / parameter.slope(parameter.value(parameter.unknown(
-        min(max(parameter.prior.mean, parameter.bounds[0]), parameter.bounds[1])))))  # fmt: skip
+    middle = min(max(prior.mean, parameter.bounds[0]), parameter.bounds[1])
+    return min(flat, prior.sd / parameter.slope(middle))
 
 
 def key_entries(
@@ -131,26 +132,23 @@ def _scatter(
     bounds = tuple(map(parameter.unknown, parameter.bounds))
     entry: dict[str, Any] = {"of": "material", "scatter": {}}
     squares: dict[str, FloatArray] = {}
+    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
     for number, name in enumerate(s.levels):
         sizes = s.size(theta, number)
         groups = int(np.unique(s.same[number], axis=0).shape[0])
         if s.sizes[number] is None:
             found: dict[str, Any] = {"known": s.known[number], "groups": groups}
         else:
-            verdict, ends = judged(sizes, 0.0, np.inf, parameter.scatter.scale, level)
-            if ends[0] is None:  # told with both ends: most that is known of it is its size
-                tail = 0.5 * (1.0 - level)
-                ends = np.quantile(sizes, [tail, 1.0 - tail]).tolist()
-            found = {"estimate": float(np.median(sizes)), "interval": ends, "verdict": verdict,
-                     "groups": groups}  # fmt: skip
+            verdict, _ = judged(sizes, 0.0, np.inf, parameter.scatter.scale, level)
+            found = {"estimate": float(np.median(sizes)), "verdict": verdict, "groups": groups,
+                     "interval": np.quantile(sizes, tails).tolist()}  # fmt: skip
         entry["scatter"][name] = found
         squares[name] = sizes**2
     spread = s.spread(theta)
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
     following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
-    tail = 0.5 * (1.0 - level)
-    ends = np.quantile(reflected(following, *map(np.array, bounds)), [tail, 1.0 - tail])
+    ends = np.quantile(reflected(following, *map(np.array, bounds)), tails)
     entry["next"] = [parameter.value(end) for end in ends.tolist()]
     total = float(np.median(spread))
     if "specimen" in squares:
@@ -162,8 +160,8 @@ def _scatter(
     place = ("specimen", "batch", "lab").index(finest)
     entry["each"] = {}
     for number, values in enumerate(theta[:, s.places].T):
-        name = next(test.groups[place] for test, g in zip(tests, s.group, strict=True) if g == number)
-        ends = np.quantile(values, [tail, 1.0 - tail])
+        name = tests[int(np.argmax(s.group == number))].groups[place]
+        ends = np.quantile(values, tails)
         entry["each"][name] = {
             "estimate": parameter.value(float(np.median(values))),
             "sd": float((np.exp(values) if parameter.log else values).std()),
@@ -187,11 +185,12 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     level = solution.problem.settings.level
     shares = posterior.shares(solution.theta, posterior.known)
     tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
-    processes = solution.problem.settings.process.items()
-    for (key, process), share, depth in zip(processes, shares.T, solution.depths.tolist(), strict=True):
+    for body, (key, process) in enumerate(solution.problem.settings.process.items()):
+        share, depth = shares[:, body], float(solution.depths[body])
         if not process.fitted:
             known = float(share[0])
-            entries[key] = {"size": {"known": known**2 * depth}, "share": {"known": known},
+            size = process.size or known**2 * depth
+            entries[key] = {"size": {"known": size}, "share": {"known": known},
                             "depth": depth, "verdict": "identified"}  # fmt: skip
             continue
         low, high = np.quantile(share, tails).tolist()

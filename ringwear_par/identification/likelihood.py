@@ -21,12 +21,7 @@ from scipy.special import gammaln, log_ndtr, logsumexp
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.definition.problem import Experiment, Nuisance
 from ringwear_par.identification.emulator import Emulator
-from ringwear_par.identification.noise import (
-    brownian_root,
-    log_volume,
-    student_weights,
-    whitened,
-)
+from ringwear_par.identification.noise import log_volume, student_weights, whitened
 from ringwear_par.identification.readings import growth, nuisance_columns
 
 #: logarithms of the least and the largest share of random wear
@@ -112,9 +107,9 @@ class Noise:
         if setting.clocks:
             covariance = np.eye(len(self.rows))
             for (slope, depth), share in zip(setting.clocks, shares, strict=True):
-                wear = slope[self.rows, None] * brownian_root(depth[self.rows])
-                root = share * self._over_noise(wear)
-                covariance += root @ root.T
+                slope, depth = slope[self.rows, None], depth[self.rows]
+                wear = self._over_noise(slope * np.minimum.outer(depth, depth))
+                covariance += share**2 * self._over_noise(slope * wear.T)
             self._factor = np.linalg.cholesky(covariance)
         normal = np.concatenate([self.white(self.columns), priors])
         size = np.linalg.norm(normal, axis=0)

@@ -24,6 +24,8 @@ _NOT_FELT, _WIDTHS = 0.5, 10.0
 _POINTS, _TRIED = 8, 512
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
+#: change of the model, in sd, below which it has no sign
+_SEEN = 0.1
 #: nuisances that leave the sign of a record as it is
 _HARMLESS = ("offset", "level", "tilt", "thermal")
 #: parts of a record at its ends that are compared with the model's sign grow by 1 / this of it
@@ -95,7 +97,8 @@ def case_points(problem: Problem) -> FloatArray:
         found = cases_at(case, problem.keys, values)
         good &= [not isinstance(entry, HistoryError) for entry in found]
     if good.sum() < _POINTS:
-        keys = ", ".join(f"{p.key} = [{p.bounds[0]:g}, {p.bounds[1]:g}]" for p in problem.parameters)
+        bounds = [(p.key, *p.bounds) for p in problem.parameters]
+        keys = ", ".join(f"{key} = [{low:g}, {high:g}]" for key, low, high in bounds)
         raise InputError(
             f"{problem.name}: bounds of {keys}: {good.sum()} of {_TRIED} points within them are "
             "cases; must leave room for what the wear laws allow of their numbers together"
@@ -206,7 +209,11 @@ class Record:
                 both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
         both = _rest(columns, both)
         (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
-        return bool(data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1])
+        return bool(
+            data @ wear < _OPPOSITE * sizes.prod()
+            and -data @ wear > _SURE * sizes[1]
+            and sizes[1] > _SEEN
+        )
 
     @property
     def follows(self) -> bool:

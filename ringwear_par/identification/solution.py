@@ -92,8 +92,9 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
                 break
         search.emulate(tried)
         search.draw(_SOME * (search.power == 1.0))
-    readings.tell("draws of the posterior")
-    search.draw(_WANTED)
+    if search.effective < _WANTED or search.power < 1.0:
+        readings.tell("draws of the posterior")
+        search.draw(_WANTED)
     return search.solution()
 
 
@@ -118,7 +119,7 @@ class _Search:
         ]
         #: whether the settings are those of where the draws are
         self.settled = not needs_middle(problem)
-        self.power = 0.0
+        self.power, self.effective = 0.0, 0.0
         self._draws = self._layout.anywhere(_FIRST, self._random)
         self._density = self._layout.log_prior(self._draws)
         self._emulators: list[Emulator] = []
@@ -255,7 +256,7 @@ class _Search:
 
     def draw(self, want: float) -> None:
         """Draw anew, with the likelihood to the power; ``want`` so many effective draws."""
-        self._draws, self._density, self._effective = _drawn(
+        self._draws, self._density, self.effective = _drawn(
             self._posterior, self._draws, self._density, self.power, self._random, want
         )
 
@@ -265,7 +266,7 @@ class _Search:
         readings, posterior = self.readings, self._posterior
         evidence, evidence_error = log_evidence(posterior, self._draws)
         return Solution(
-            readings.problem, posterior, self._draws, self._effective,
+            readings.problem, posterior, self._draws, self.effective,
             mode(posterior, self._draws, self._density), evidence, evidence_error,
             np.zeros(len(self._layout.share_places)), self._error, self._step_error,
             readings.steps, readings.count, readings.failed, readings.reason, weighed,
@@ -281,14 +282,14 @@ class _Search:
         logs = self._log_p(true) - self.power * self._log_p(emulated)
         logs[~np.isfinite(logs)] = -np.inf
         weights = np.exp(logs - logsumexp(logs))
-        self._effective = float(1.0 / (weights @ weights))
+        self.effective = float(1.0 / (weights @ weights))
         table = np.column_stack([np.minimum(np.abs(logs), 1e3), x.mean(axis=1)])
         key = problem.keys[int(np.nanargmax(np.abs(np.corrcoef(table.T)[0, 1:])))]
         sentence = (
             f"readings of {problem.experiments[self._worst].name} do not follow {key} smoothly: "
-            f"draws were weighed by {_WEIGHED} histories, and are worth {self._effective:.0f}"
+            f"draws were weighed by {_WEIGHED} histories, and are worth {self.effective:.0f}"
         )
-        if not self._effective > _LEAST:
+        if not self.effective > _LEAST:
             raise ComputationError(
                 f"{problem.name}: {sentence}; narrower bounds of {key}, or a prior, would help"
             )

@@ -167,7 +167,7 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
         verdict = "does not fit" if law["flagged"] else "fits"
         if law["p_value"] is None:
             verdict = "not tested: noise was fitted, has long tails, or readings are limits"
-        numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.4g}"
+        numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.1f}", f"{law['chi2']:.4g}"
         share = f"{shares[name]:.2g}" if shares.get(name, 0.0) >= 1e-4 else "< 1e-4"
         rows.append((name, *numbers, share, parameters, verdict))
     failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
@@ -178,7 +178,7 @@ def goodness(outcome: Entry) -> str:
     """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
     p_value = outcome["p_value"]
     entries = [entry for series in outcome["experiments"].values() for entry in series.values()]
-    criteria = f"AIC {outcome['aic']:.4g}, BIC {outcome['bic']:.4g}"
+    criteria = f"AIC {outcome['aic']:.1f}, BIC {outcome['bic']:.1f}"
     if all(entry.get("censored") == entry["n"] for entry in entries):
         return f"all readings are limits, which have no chi2; {criteria}"
     noise_fitted = any("sd" in entry for entry in entries)
@@ -336,9 +336,8 @@ def summary(fit: "FitResult") -> str:
     ]
     if not problem.scatters:
         lines.append(f"  intervals {of_specimens(outcome)}")
-    verdict = "does not fit" if fit.flagged else "fits"
-    lines.append(f"{'the law ' + verdict + ': ' if fit.p_value is not None else ''}{goodness(outcome)}")
-    lines.append("checks:")
+    verdict = "the law does not fit: " if fit.flagged else "the law fits: "
+    lines += [verdict * (fit.p_value is not None) + goodness(outcome), "checks:"]
     rows = check_rows(outcome)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for name, number, limit, passed in rows:
@@ -373,6 +372,4 @@ def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
         flag = "; does not fit" * (verdict == "does not fit")
         text = f"{', '.join(numbers)}; {parameters}{flag}" if parameters else verdict
         lines.append(f"  {name}: {text}")
-    if all(row[-1] == "does not fit" or not row[1] for row in rows):
-        lines.append("  none of them fits")
     return lines

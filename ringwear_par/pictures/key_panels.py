@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import quantity_label, quantity_name
 from ringwear_par.cases.units import in_signs
