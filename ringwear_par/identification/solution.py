@@ -24,7 +24,7 @@ from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
 from ringwear_par.identification.setting import needs_middle, settings_at
 
-#: draws at first; points that fill the box of an emulator, and more of them for each key; draws with
+#: draws at first; points that fill the box of an emulator, and more for each key; draws that have
 #: true histories, a round
 _FIRST, _FILLING, _A_KEY, _TRIED = 2048, 32, 16, 40
 #: margin of a box, as a share of its edges; it doubles while draws are at faces
