@@ -23,14 +23,13 @@ from ringwear_par.identification import sampling, solution
 from ringwear_par.identification.definition import problem as fits
 from ringwear_par.identification.emulator import Box, emulate
 from ringwear_par.identification.histories import Readings
+from ringwear_par.identification.key_estimates import judged
 from ringwear_par.identification.readings import growth, nuisance_columns
 from ringwear_par.results.execution.stop_signals import StopSignals
 
 Wanted = Sequence[tuple[int, FloatArray]]
 #: whether an interval holds the truth, and half its width
 Score = tuple[bool, float]
-#: arguments of ``Laboratory`` by name
-Labs = dict[str, tuple[Any, ...]]
 PAPER = Path(__file__).parent / "cases" / "paper.toml"
 #: histories for polynomials, their error over a reading's noise, mm that need not be as good
 HISTORIES, GOOD, FAR = 800, 0.02, 0.02
@@ -39,6 +38,7 @@ DRAWS, LENGTH = 1000.0, 6.0
 #: mm of displacements and profiles, g of weighings; g/mm3; sd of nuisances without a prior, mm
 SENSOR, PROFILER, BALANCE, DENSITY, FREE = 2e-4, 8e-5, 1e-4, 1.9e-3, 1e-3
 OFFSET, DRIFT = fits.Nuisance("offset"), fits.Nuisance("drift", fits.Prior(0.0, 5e-4))
+SKEW = fits.Nuisance("level"), fits.Nuisance("tilt")
 #: amplitude and time (s) of thermal growth
 WARM, TIME = fits.Nuisance("thermal"), fits.Prior(1500.0, 500.0)
 THERMAL = WARM, fits.Nuisance("thermal time", TIME, (100.0, 9000.0), 1500.0)
@@ -63,8 +63,8 @@ def worn(pressure: float, end: float, *read: fits.Series, **changed: Any) -> fit
     return fits.Experiment("", case, read)
 
 
-def laboratories() -> Labs:
-    """Return what is simulated."""
+def laboratories() -> dict[str, tuple[Any, ...]]:
+    """Return the arguments of each ``Laboratory`` by its name."""
 
     def record(end: float, count: int, *nuisances: fits.Nuisance) -> fits.Series:
         return series("penetration", np.linspace(end / count, end, count), SENSOR, *nuisances)
@@ -72,7 +72,8 @@ def laboratories() -> Labs:
     read = record(150.0, 50, OFFSET, DRIFT), series("mass.lower", 50.0 * np.arange(1, 4), BALANCE)
     at = {p: worn(p, 150.0, *read) for p in (50.0, 80.0, 100.0, 110.0)}
     k, p0 = key("k", 1e-7, 2e-8, 5e-7), key("p0", 15.0, 0.0, 45.0, False)
-    nine, wide, labs = [at[50.0], at[80.0], at[110.0]] * 3, replace(k, bounds=(2e-8, 2e-6)), Labs()
+    nine, wide = [at[50.0], at[80.0], at[110.0]] * 3, replace(k, bounds=(2e-8, 2e-6))
+    labs: dict[str, tuple[Any, ...]] = {}
     for tau in (0.05, 0.12, 0.3):
         labs[f"nine-{100 * tau:g}"] = nine, [k, p0], [1e-7, 15.0], tau
     for n in (2, 3):
@@ -81,14 +82,12 @@ def laboratories() -> Labs:
     labs["one-load-0"] = [at[50.0]], [wide, p0], [1e-7, 0.0]
     labs["two-loads-0"] = [at[50.0], at[100.0]], [wide, p0], [1e-7, 0.0]
     end, r = 7200.0, np.linspace(28.0, 32.0, 201)
-    profile = series(
-        "profile.lower", r, PROFILER, fits.Nuisance("level"), fits.Nuisance("tilt"), at=end
-    )
+    profile = series("profile.lower", r, PROFILER, *SKEW, at=end)
     read = record(end, 360, OFFSET, *THERMAL), series("mass.lower", end * np.ones(1), BALANCE)
-    rig = {"wear.lower.law": "running-in", "load.omega": 1.0, "contact.friction": 0.12}
     keys = [key("k", 6e-9, 3e-9, 9.5e-9), key("k_start", 1.8e-8, 1e-8, 8e-8)]
     keys.append(key("distance", 3e4, 6e3, 1.5e5))
-    rig |= {"wear.lower.p0": 0.0, **{k.key: k.start for k in keys}}
+    rig = {"load.omega": 1.0, "contact.friction": 0.12, **{k.key: k.start for k in keys}}
+    rig |= {"wear.lower.law": "running-in", "wear.lower.p0": 0.0}
     tests = [worn(p, end, *read, profile, **rig) for p in (40.0, 70.0)]
     labs["running-in"] = tests, keys, [k.start for k in keys]
     k, rig = key("k", 9e-9, 3e-9, 3e-8), {"wear.lower.law": "archard", "wear.lower.k": 9e-9}
@@ -122,8 +121,8 @@ class Laboratory:
         parameters = (replace(keys[0], scatter=scatter), *keys[1:])
         settings = fits.Settings(process={"wear.lower": fits.ProcessNoise()} if share else {})
         own = [replace(t, name=f"{i}", groups=(f"{i}", "", "")) for i, t in enumerate(tests)]
-        space = fits.DesignSpace()
-        problem = fits.Problem("", "", settings, parameters, tuple(own), {}, {}, space)
+        design = fits.DesignSpace()
+        problem = fits.Problem("", "", settings, parameters, tuple(own), {}, {}, design)
         tests = []
         for test in own:
             times = np.concatenate([np.broadcast_to(s.at or s.x, s.n) for s in test.series])
@@ -178,17 +177,10 @@ class Laboratory:
 
 
 def holds(draws: FloatArray, truth: float, low: float = -np.inf, high: float = np.inf) -> Score:
-    """Tell whether the interval of draws (s,) holds the truth, and half its width.
-
-    It has one end where the density at a bound is more than a quarter of the largest.
-    """
-    draws = np.sort(draws)
-    width = float(np.diff(np.quantile(draws, [0.025, 0.975]))[0]) / 20.0
-    most = 0.25 * (np.searchsorted(draws, draws + width) - np.arange(len(draws))).max()
-    at = (draws < low + width).sum() > most, (draws > high - width).sum() > most
-    a, b = np.quantile(draws, [0.05, 0.95] if at[0] != at[1] else [0.025, 0.975])
-    a, b = low if at[0] else a, high if at[1] else b
-    return bool(a <= truth <= b), float(0.5 * (b - a))
+    """Tell whether the interval of draws (s,) holds the truth, and half its width."""
+    a, b = judged(draws, low, high, np.inf, 0.95)[1]
+    a, b = low if a is None else a, high if b is None else b
+    return bool(a <= truth <= b), 0.5 * (b - a)
 
 
 def one_set(lab: Laboratory, seed: int) -> dict[str, Score]:
