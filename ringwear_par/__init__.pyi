@@ -8,10 +8,10 @@ from ringwear_par.errors import InputError as InputError
 from ringwear_par.functions.function import Function as Function
 from ringwear_par.functions.function import function as function
 from ringwear_par.history.elastic.pairs import assemble as assemble
+from ringwear_par.identification.design.design import DesignResult as DesignResult
+from ringwear_par.identification.design.design import design as design
 from ringwear_par.identification.fit import fit as fit
 from ringwear_par.identification.fit_result import FitResult as FitResult
-from ringwear_par.identification.test_design.design import DesignResult as DesignResult
-from ringwear_par.identification.test_design.design import design as design
 from ringwear_par.measuring.measure import measure as measure
 from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
 from ringwear_par.prediction.predict import predict as predict

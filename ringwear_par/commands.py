@@ -207,12 +207,11 @@ def parser() -> argparse.ArgumentParser:
         "solves")
     a.fit_file()
     a.flag("--dry-run", "print the intervals to expect if the starts are true; write nothing")
-    a.flag("--restart", "continue an interrupted fit from its stored optima")
-    a.flag("--overwrite", "start anew, even if DIR holds an interrupted fit")
+    a.flag("--overwrite", "replace an outcome that is in DIR without a note")
     a.flag("--compare", "fit the laws of [compare] as well")
     a = command(
         "design", "choose the most informative next tests, from [design] of a fit file",
-        "identification.test_design.design:run_design",
+        "identification.design.design:run_design",
         "ringwear design fit.toml -o out/plan --after out/fit", "solves")
     a.fit_file()
     a.path("--after", metavar="DIR", help="folder of a fit, whose measurements count as well")
@@ -239,7 +238,7 @@ def parser() -> argparse.ArgumentParser:
     a.add_argument("--test", metavar="NAME", help="experiment that runs (default: the last one)")
     a.add_argument("--to", default="10%", metavar="PERCENT",
                    help="half width of the interval of k that is asked for (default: 10%%)")
-    a.draws(10_000)
+    a.draws(100_000)
     a.flag("--once", "answer once, by the readings that are there, and end")
 
     lines.append("\nother:")

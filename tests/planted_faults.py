@@ -168,9 +168,12 @@ FAULTS = [
     Fault("volume of correlated noise", "identification/scatter/likelihood.py",
           "volume = test.log_volume + 2.0 *", "volume = test.log_volume + 1.0 *",
           "identification/scatter/test_scatter.py identification/scatter/test_clocks.py"),
-    Fault("information of a next test", "identification/test_design/information.py",
-          "NuisanceProjection(stacked[:, m:]).rest(stacked[:, :m])", "stacked[:, :m]",
-          "identification/test_design/test_design.py::test_information_is_that_of_a_fit"),
+    Fault("information of a next test", "identification/design/information.py",
+          "return information - np.einsum(", "return information + np.einsum(",
+          "identification/design/test_design.py::test_the_best_tests_by_brute_force"),
+    Fault("next specimens", "identification/design/information.py",
+          "np.diag(1.0 / variances[some])", "np.diag(variances[some])",
+          "identification/design/test_design.py::test_only_the_number_of_specimens_matters"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",
           "float(np.sqrt(3.0))", "measuring/test_steady_part.py"),
@@ -187,9 +190,12 @@ FAULTS = [
     Fault("time to a depth", "prediction/prediction.py", "time[np.maximum(after - 1, 0)]\n",
           "time[after]\n",
           "prediction/test_predict.py::test_a_depth_is_reached_by_some_draws_only"),
-    Fault("likelihood of a running test", "monitoring/bank.py",
-          "logs[chosen] = -0.5 * (square + rest)", "logs[chosen] = -0.25 * (square + rest)",
-          "monitoring/test_follow.py::test_the_posterior_of_a_running_test"),
+    Fault("determinants of random wear", "identification/likelihood.py",
+          "volume += np.log(np.diag(self._factor)).sum()", "volume += 0.0",
+          "monitoring/test_follow.py::test_laws_are_as_probable_as_by_hand"),
+    Fault("weights of new draws", "monitoring/follower.py",
+          "x, coordinates, ratio + log_l", "x, coordinates, 0.5 * (ratio + log_l)",
+          "monitoring/test_follow.py::test_a_sensor_that_leaves_few_draws"),
 ]  # fmt: skip
 
 

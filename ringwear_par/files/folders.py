@@ -11,8 +11,8 @@ from ringwear_par.files.writing import atomic_write, check_writable
 
 #: files of a fit: its outcome, which is written last, its readings and two figures
 FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
-#: folder of an interrupted fit, from which a restart goes on
-PROGRESS = "progress"
+#: file of a fit: draws of what it knows, which ArviZ opens; of other laws draws_1.nc, ...
+POSTERIOR = "draws.nc"
 #: file of a fit with scatter: the values of specimens
 SPECIMENS = "specimens.png"
 #: files of a design: its outcome, which is written last, the best tests and the map of all
@@ -26,7 +26,7 @@ FOLLOW = "follow.json"
 
 #: commands by what they leave in their folders; a fit and the design after it may share one
 _COMMANDS = {
-    FIT: "fit", DESIGN: "fit", PROGRESS: "fit", "cases.csv": "sweep", "shards": "sweep",
+    FIT: "fit", DESIGN: "fit", "cases.csv": "sweep", "shards": "sweep",
     MEASURE: "measure", PREDICTION: "predict", FOLLOW: "follow",
 }  # fmt: skip
 

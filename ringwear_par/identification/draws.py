@@ -67,7 +67,9 @@ class Draws:
     def __len__(self) -> int:
         return len(self.material)
 
-    def unknowns(self, of: str, count: int, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    def unknowns(
+        self, of: str, count: int, random: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
         """Return unknowns (count, m), and sizes of the random wear (count, 2) mm.
 
         Parameters
@@ -142,7 +144,8 @@ def write_draws(
     Parameters
     ----------
     places : "test", "series" and "at" (s or mm) of each reading, (n,).
-    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n).
+    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n);
+        "log_likelihood_test" (s, tests).
     """
     by_chain = (CHAINS, len(draws) // CHAINS)
     with atomic_hdf5(path) as file:
@@ -151,7 +154,8 @@ def write_draws(
         group.attrs["fit"] = json.dumps(
             {
                 "keys": draws.keys, "units": draws.units, "logarithmic": draws.logarithmic.tolist(),
-                "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter], "specimens": draws.specimens,
+                "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter],
+                "specimens": draws.specimens,
                 "laws": dict(draws.laws), "conditions": draws.conditions.tolist(),
                 "log_evidence": draws.log_evidence, "effective": draws.effective,
             }
@@ -166,7 +170,13 @@ def write_draws(
         for j, (key, unit) in enumerate(zip(draws.keys, draws.units, strict=True)):
             put(key, values[:, j], unit, "value of the material")
             if any(scattering == key for scattering, _ in draws.scatter):
-                put(f"{key} of tests", of_tests[..., j], unit, "value of the test's specimen", "test")
+                put(
+                    f"{key} of tests",
+                    of_tests[..., j],
+                    unit,
+                    "value of the test's specimen",
+                    "test",
+                )
         for (key, level), sd in draws.scatter.items():
             put(_scatter_name(key, level), sd, "1", "standard deviation of the unknown")
         for body, sizes in zip(BODIES, draws.process.T, strict=True):
@@ -174,15 +184,18 @@ def write_draws(
                 put(f"process.wear.{body}", sizes, "mm", "size of the random wear")
         for name, array in readings.items():
             group = file.create_group(name)
-            n = array.shape[-1]
+            by_test = name == "log_likelihood_test"
+            word, axis = ("test", "name") if by_test else ("reading", "place")
+            axes = {axis: array.shape[-1]}
             if array.ndim == 1:
-                _axes(group, place=n)
-                write_variable(group, Variable("reading", ("place",), "1", "what was read"), array)
+                _axes(group, **axes)
+                write_variable(group, Variable(word, (axis,), "1", "what was read"), array)
             else:
-                _axes(group, chain=CHAINS, draw=by_chain[1], place=n)
-                put("reading", array.astype(np.float32), "1", name.replace("_", " "), "place")
-            for word, entries in places.items():
-                write_variable(group, Variable(word, ("place",), "1", f"{word} of the reading"), [*entries])
+                _axes(group, chain=CHAINS, draw=by_chain[1], **axes)
+                put(word, array, "1", name.replace("_", " "), axis)
+            for place, entries in () if by_test else places.items():
+                meaning = f"{place} of the reading"
+                write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
 
 
 def _axes(group: h5py.Group, **sizes: int) -> None:

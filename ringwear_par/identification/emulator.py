@@ -5,7 +5,6 @@ in the unknowns: polynomials in a box tell them. Each point in turn, left out of
 tells their error.
 """
 
-import itertools
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -28,7 +27,7 @@ _NEAR = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Where unknowns (m,) lie: within bounds, and in a parallelepiped along what is known of them."""
+    """Where unknowns (m,) are: within bounds, and in a parallelepiped along what is known."""
 
     #: (m,) bounds
     low: FloatArray
@@ -99,7 +98,7 @@ class Emulator:
 
     box: Box
     degree: int
-    #: (p, r)
+    #: (p - 1, r) of all terms but the constant
     coefficients: FloatArray
     #: (n,) and (r, n), in the units of the readings
     mean: FloatArray
@@ -115,7 +114,7 @@ class Emulator:
         return cKDTree(self.box.inside(self.points))
 
     def holds(self, x: FloatArray) -> BoolArray:
-        """Tell which unknowns (..., m) are in the box and nearest to a point with a history, (...)."""
+        """Tell which unknowns (..., m) are in the box, and nearest to one with a history, (...)."""
         inside = self.box.holds(x)
         if len(self.points) and inside.any():
             inside[inside] = self.good[self._nearest.query(self.box.inside(x[inside]))[1]]
@@ -123,7 +122,7 @@ class Emulator:
 
     def coordinates(self, x: FloatArray) -> FloatArray:
         """Return the coordinates (..., r) along the modes at unknowns (..., m)."""
-        return self.box.polynomials(x, self.degree) @ self.coefficients
+        return self.box.polynomials(x, self.degree)[..., 1:] @ self.coefficients
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return readings (..., n) at unknowns (..., m)."""
@@ -184,6 +183,11 @@ def emulate(
     error, degree, terms, off = best
     coefficients = np.linalg.lstsq(terms, wanted, rcond=1e-12)[0]
     left_out[good] = readings - off / weights[:, None] @ modes * sd
+    # the first term is constant; the others make no more modes than there are
+    mean = mean + coefficients[0] @ modes * sd
+    left, values, turned = np.linalg.svd(coefficients[1:], full_matrices=False)
+    kept = max(int((values > _SMALL_MODE).sum()), 1)
+    coefficients, modes = left[:, :kept] * values[:kept], turned[:kept] @ modes
     lost = every if not good.all() else every[:0]
     emulator = Emulator(box, degree, coefficients, mean, modes * sd, error, lost, good)
     return emulator, left_out

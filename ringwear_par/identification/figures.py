@@ -7,8 +7,9 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
-from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.fitted_tests import FittedTest
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.panel import Panel
@@ -26,7 +27,7 @@ def plot(fit: FitResult) -> Figure:
 
     Series of one reading, such as weighings, share a strip below: a line each.
     """
-    every = [drawn_series(fit, *record) for record in fit.misfit.records]
+    every = [drawn_series(fit, test, *record) for test in fit.tests for record in test.records]
     curves = [series for series in every if len(series.x) > 1]
     single = [series for series in every if len(series.x) == 1]
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
@@ -57,25 +58,23 @@ def plot(fit: FitResult) -> Figure:
 
 
 def drawn_series(
-    fit: FitResult, experiment: Experiment, series: Series, part: slice
+    fit: FitResult, test: FittedTest, series: Series, part: slice
 ) -> fit_panels.Series:
     """Return a series with its model, in the unit of its readings."""
-    scale, misfit = 1.0 / series.factor, fit.misfit
+    scale = 1.0 / series.factor
     return fit_panels.Series(
-        experiment.name, series.name, series.quantity, series.unit, series.x, scale * series.value,
-        scale * fit.evaluation.model[part], scale * misfit.sd[part], scale * fit.band[part],
-        fit.residuals[part], misfit.problem.settings.level, experiment.case.contact,
-        misfit.censored[part],
+        test.experiment.name, series.name, series.quantity, series.unit, series.x,
+        scale * series.value, scale * test.model[part], scale * test.sd[part],
+        scale * test.band[part], test.residuals[part], fit.problem.settings.level,
+        test.experiment.case.contact, test.censored[part].astype(int),
     )  # fmt: skip
 
 
 def plot_parameters(fit: FitResult) -> Figure:
-    """Return likelihoods by key on the diagonal, pairs with confidence ellipses before it."""
-    samples = {} if fit.posterior is None else dict(
-        zip((p.key for p in fit.parameters), fit.posterior.samples.T, strict=True)
-    )  # fmt: skip
-    rows = key_panels.fitted_keys(fit.to_dict(), samples)
-    return panel_figure(rows, (1.2 + 2.7 * len(rows), 0.9 + 2.5 * len(rows)))
+    """Return densities of the keys on the diagonal, draws of pairs before it."""
+    values = fit.draws.values(fit.draws.material)
+    rows = key_panels.fitted_keys(fit.to_dict(), dict(zip(fit.draws.keys, values.T, strict=True)))
+    return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
 
 
 def plot_specimens(fit: FitResult) -> Figure:

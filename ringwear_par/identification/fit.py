@@ -5,22 +5,35 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
+from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.definition.scatter import expected_sizes
-from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.estimation.solution import expected_solution, solve
-from ringwear_par.identification.estimation.starts import StoredStarts
+from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
+from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.model.rounds import Rounds, StoppedError
-from ringwear_par.identification.scatter.pieces import posterior_in_pieces
-from ringwear_par.identification.scatter.search import estimate_material
-from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.identification.fitted_tests import fitted_test, local_squares
+from ringwear_par.identification.histories import HistoryError, Readings, StoppedError
+from ringwear_par.identification.key_estimates import key_entries, process_entries
+from ringwear_par.identification.record_checks import refuse_unfit
+from ringwear_par.identification.setting import random_wear
+from ringwear_par.identification.solution import Solution, solve
+from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.laboratory_numbers import (
+    LABORATORY_NUMBERS,
+    laboratory_inputs,
+    laboratory_numbers,
+)
 from ringwear_par.version import versions
+
+#: draws of each chain that are kept; of them, how many tell bands and nuisances
+_KEPT, _BANDS = 500, 500
 
 
 def fit(
@@ -29,7 +42,7 @@ def fit(
     *,
     compare: bool = False,
 ) -> FitResult:
-    """Return the values of case keys that suit measurements best, with intervals.
+    """Return what measurements say of case keys: draws of their posterior, and intervals.
 
     Collective on comm, the world's where none is given; the same on all ranks.
 
@@ -45,31 +58,25 @@ def fit(
     Raises
     ------
     InputError : all faults of the file and its data.
-    ComputationError : no start leads to an optimum.
+    ComputationError : there are no histories, or draws cannot be had.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
     problem = on_first_rank(comm, lambda: read_fit(source))
     return fit_problem(problem, comm, compare=compare)
 
 
-def fit_problem(
-    problem: Problem, comm: MPI.Intracomm, *, compare: bool = False, folder: Path | None = None
-) -> FitResult:
+def fit_problem(problem: Problem, comm: MPI.Intracomm, *, compare: bool = False) -> FitResult:
     """Return the fit of a problem that was read. Collective on comm.
 
-    Other laws follow the first one, with linear intervals; one that fails does not end the fit.
-    Optima of starts are stored in the folder until the fit is done.
+    Other laws follow the first one; one that fails does not end the fit.
     """
     with StopSignals() as signals:
-        result = _fit_law(problem, "", StoredStarts(folder, problem.key), signals, comm)
+        result = _fit_law(problem, comm, signals)
         alternatives: dict[str, FitResult] = {}
         failed: dict[str, str] = {}
-        for number, (law, alternative) in enumerate(
-            problem.alternatives.items() if compare else (), 1
-        ):
-            stored = StoredStarts(folder, f"{alternative.key} {law}", number)
+        for law, alternative in problem.alternatives.items() if compare else ():
             try:
-                alternatives[law] = _fit_law(alternative, law, stored, signals, comm)
+                alternatives[law] = _fit_law(alternative, comm, signals)
             except StoppedError:
                 raise
             except (ComputationError, InputError) as error:
@@ -77,46 +84,114 @@ def fit_problem(
         return replace(result, alternatives=alternatives, failed=failed)
 
 
-def expected_result(problem: Problem, comm: MPI.Intracomm) -> FitResult:
-    """Return the result of a fit whose optimum is the start. Collective on comm."""
-    with StopSignals() as signals:
-        return _fit_law(problem, "", StoredStarts(None, ""), signals, comm, expected=True)
-
-
-def _fit_law(
-    problem: Problem,
-    law: str,
-    stored: StoredStarts,
-    signals: StopSignals,
-    comm: MPI.Intracomm,
-    *,
-    expected: bool = False,
-) -> FitResult:
-    """Return the result under one law, its start where only ``expected``. Collective on comm."""
-    rounds = Rounds(problem, comm, signals, lambda: stored.hint)
-    misfit = Misfit(problem, rounds)
-    if not expected:
-        with together(comm):
-            rounds.operators.interpolate(comm)
+def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> FitResult:
+    """Return the result under one law. Collective on comm."""
+    if problem.settings.process:  # matrices of all readings of a test
+        tests = [
+            replace(test, series=tuple(_few(series, test.case.time.end) for series in test.series))
+            for test in problem.experiments
+        ]
+        problem = problem.with_experiments(tuple(tests))
+    readings = Readings(problem, comm, signals)
 
     def lead() -> FitResult:
-        solution = expected_solution(misfit) if expected else solve(misfit, rounds, law, stored)
-        material = None
-        if problem.mixed:
-            rounds.tell("specimens" if problem.scatters else "random wear")
-            sizes = expected_sizes(problem) if expected else None
-            material = estimate_material(misfit, solution.x, sizes)
-            if not expected:
-                pieces, doubt = posterior_in_pieces(misfit, material)
-                material = replace(material, pieces=pieces, doubt_of_pieces=doubt)
-            solution = replace(
-                solution, x=material.best_fit.x, evaluation=material.best_fit.evaluation,
-                parameters=tuple(map(material.estimate, range(len(problem.parameters)))),
-                covariance=material.covariance,
-            )  # fmt: skip
-        solution = replace(solution, histories=rounds.count)
-        test_unknowns = None if material is None else material.test_unknowns
-        misfit.responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
-        return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())
+        refuse_unfit(readings)
+        return _result(readings, solve(readings))
 
-    return rounds.lead(lead)
+    return readings.lead(lead)
+
+
+def _few(series: Series, end: float) -> Series:
+    return averaged(series, end) if series.n > BLOCKS else series
+
+
+def _result(readings: Readings, solution: Solution) -> FitResult:
+    """Return the result of a solution. On the first rank, within ``lead``."""
+    problem, posterior = solution.problem, solution.posterior
+    random = np.random.default_rng(0)
+    x = posterior.of_tests(solution.theta)
+    best = posterior.of_tests(solution.best)
+    if problem.settings.process:
+        solution = replace(solution, depths=random_wear(readings, np.median(x, axis=0))[1])
+    material = posterior.material(solution.theta, random)
+    draws, rows = _draws(solution, material)
+    some = rows[:: max(1, len(rows) // _BANDS)]
+    tests = tuple(
+        fitted_test(likelihood, best[i], x[some, i], solution.depths, random)
+        for i, likelihood in enumerate(posterior.likelihoods)
+    )
+    shares = np.median(posterior.shares(solution.theta, posterior.known), axis=0)[None]
+    squares = tuple(
+        local_squares(likelihood, best[None, i], shares, range(posterior.m), own_sds(x[:, i]))
+        for i, likelihood in enumerate(posterior.likelihoods)
+    )
+    information = np.array([np.diag(of_test.information[0]) for of_test in squares])
+    nuisances = {
+        f"{kind} of {t.experiment.series[i].name} ({t.experiment.name})": drawn
+        for t in tests for (i, kind), drawn in t.nuisances.items() if i >= 0
+    }  # fmt: skip
+    return FitResult(
+        problem=problem, solution=solution, draws=draws, process=process_entries(solution),
+        entries=key_entries(
+            solution, material, np.maximum(information, 1e-300) ** -0.5, material[some], nuisances
+        ),
+        tests=tests, squares=squares, laboratory=_laboratory(readings, best), versions=versions(),
+    )  # fmt: skip
+
+
+def own_sds(x: FloatArray) -> FloatArray:
+    """Return the sd (m,) of each unknown given all others, by draws (s, m)."""
+    covariance = np.atleast_2d(np.cov(x.T))
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    sds: FloatArray = np.maximum(np.diag(inverse), 1e-300) ** -0.5
+    return np.minimum(sds, np.sqrt(np.diag(covariance)))
+
+
+def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]:
+    """Return the draws that are kept, and their rows in ``theta``.
+
+    States of the sampler follow one another, its walkers, a multiple of the chains, side by side.
+    """
+    problem, posterior = solution.problem, solution.posterior
+    length = len(solution.theta) // CHAINS
+    states = np.linspace(0, length - 1, _KEPT).round().astype(int)
+    rows = (CHAINS * states + np.arange(CHAINS)[:, None]).ravel()
+    theta = solution.theta[rows]
+    sizes = np.zeros((len(rows), len(BODIES)))
+    shares = posterior.shares(theta, posterior.known)
+    for place, (key, process) in enumerate(problem.settings.process.items()):
+        found = shares[:, place] ** 2 * solution.depths[place]
+        sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
+    units = units_of(problem)
+    draws = Draws(
+        keys=problem.keys, units=tuple(units[key] for key in problem.keys),
+        logarithmic=np.array([p.log for p in problem.parameters]),
+        bounds=np.array([p.bounds for p in problem.parameters], dtype=float),
+        material=material[rows], tests=posterior.of_tests(theta),
+        scatter={
+            (problem.keys[s.key], level): s.size(theta, number)
+            for s in posterior.scatterings for number, level in enumerate(s.levels)
+        },
+        process=sizes,
+        specimens=tuple(test.groups[0] for test in problem.experiments),
+        laws=law_names(problem.experiments[0].case),
+        conditions=np.array([conditions_of(t.case, problem.keys) for t in problem.experiments]),
+        log_evidence=solution.log_evidence, effective=min(solution.effective, float(len(rows))),
+    )  # fmt: skip
+    return draws, rows
+
+
+def _laboratory(readings: Readings, x: FloatArray) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the numbers of laboratories at the end of each test, at unknowns (tests, m)."""
+    numbers = {}
+    for i, test in enumerate(readings.problem.experiments):
+        try:
+            result = readings.history(i, x[i])
+        except HistoryError:
+            continue
+        numbers[test.name] = {
+            name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].variable.unit}
+            for name, values in laboratory_numbers(laboratory_inputs(result)).items()
+            if np.isfinite(values[-1])
+        }
+    return numbers

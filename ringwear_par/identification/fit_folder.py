@@ -1,7 +1,5 @@
-"""The folder of a fit: its outcome, its readings and its figures, each there once it is whole."""
+"""The folder of a fit: its outcome, its draws and readings, its figures, each there once whole."""
 
-import json
-import logging
 import re
 from collections.abc import Callable
 from functools import partial
@@ -11,50 +9,31 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.errors import InputError
+from ringwear_par.arrays import FloatArray
 from ringwear_par.files.folders import (
     CURVES,
     ESTIMATES,
     FIT,
-    PROGRESS,
+    POSTERIOR,
     READINGS,
     SPECIMENS,
     json_bytes,
     new_files,
     write_contents,
 )
-from ringwear_par.files.text import read_text
-from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import BASE, body_of_wear
+from ringwear_par.identification.draws import write_draws
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_values import LAWS, fitted_values, write_values
+from ringwear_par.identification.fitted_tests import (
+    local_squares,
+    marginal_log_p,
+    readings_of_draws,
+)
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
-from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
+from ringwear_par.results.variables import SOFTWARE, Variable
 
-log = logging.getLogger(__name__)
-
-FILES = (FIT, READINGS, CURVES, ESTIMATES, SPECIMENS)
-
-
-def refuse_interrupted(folder: Path) -> None:
-    """Refuse a folder with what an interrupted fit has left."""
-    left = folder / PROGRESS
-    if left.is_dir() and any(left.iterdir()):
-        raise InputError(
-            f"{folder}: holds a fit that was interrupted; --restart goes on with it, --overwrite "
-            "starts anew"
-        )
-
-
-def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
-    """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
-    try:
-        stored = json.loads(read_text(folder / FIT))
-        laws = problem.alternatives.keys() if compare else set()
-        return bool(stored["key"] == problem.key and laws <= stored["alternatives"].keys())
-    except (InputError, ValueError, TypeError, KeyError, AttributeError):
-        return False
+FILES = (FIT, READINGS, POSTERIOR, CURVES, ESTIMATES, SPECIMENS)
 
 
 def save(fit: FitResult, folder: Path) -> None:
@@ -65,8 +44,12 @@ def save(fit: FitResult, folder: Path) -> None:
     with new_files(folder, FILES, "fit"):
         with atomic_hdf5(folder / READINGS) as file:
             _write(file, fit)
+        for number, law in enumerate((fit, *fit.alternatives.values())):
+            name = f"draws_{number}.nc" if number else POSTERIOR
+            readings, places = drawn_readings(law)
+            write_draws(folder / name, law.draws, law.versions, places, readings)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
-        if not fit.misfit.problem.scatters:
+        if not fit.problem.scatters:
             del figures[SPECIMENS]
             (folder / SPECIMENS).unlink(missing_ok=True)
         pictures = {
@@ -75,65 +58,91 @@ def save(fit: FitResult, folder: Path) -> None:
         write_contents(folder, {**pictures, FIT: lambda: json_bytes(fit.to_dict())})
 
 
+def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, list[Any]]]:
+    """Return what draws.nc holds of readings, and the test, series and place of each.
+
+    Where keys scatter, "log_likelihood_test" (s, tests) is of all readings of a test, its values
+    integrated out.
+    """
+    random, x = np.random.default_rng(0), fit.draws.tests
+    posterior = fit.solution.posterior
+    parts = [
+        readings_of_draws(likelihood, x[:, i], random)
+        for i, likelihood in enumerate(posterior.likelihoods)
+    ]
+    logs, replicas = (np.hstack(columns) for columns in zip(*parts, strict=True))
+    readings = {
+        "observed_data": np.concatenate([test.data for test in fit.tests]),
+        "posterior_predictive": replicas, "log_likelihood": logs,
+    }  # fmt: skip
+    places: dict[str, list[Any]] = {"test": [], "series": [], "at": []}
+    for test in fit.tests:
+        for series, _ in test.records:
+            places["test"] += [test.experiment.name] * series.n
+            places["series"] += [series.name] * series.n
+            places["at"] += series.x.tolist()
+    if posterior.scatterings:
+        readings["log_likelihood_test"] = _log_p_of_tests(fit)
+    return readings, places
+
+
+def _log_p_of_tests(fit: FitResult) -> FloatArray:
+    """Return log p (s, tests) of the readings of each test, given the material and its scatter."""
+    draws, posterior = fit.draws, fit.solution.posterior
+    scatters = [s.key for s in posterior.scatterings]
+    variances = np.zeros((len(draws), len(scatters)))
+    for (key, _), sd in draws.scatter.items():
+        variances[:, scatters.index(draws.keys.index(key))] += sd**2
+    # by rows that are in the order of draws
+    depths = fit.solution.depths
+    bodies = [body_of_wear(key) for key in fit.problem.settings.process]
+    sizes = draws.process[:, [("lower", "upper").index(body) for body in bodies]]
+    shares = np.sqrt(sizes / depths) if len(depths) else np.zeros((len(draws), 0))
+    logs = []
+    for i, likelihood in enumerate(posterior.likelihoods):
+        x = draws.tests[:, i]
+        information = np.diag(fit.squares[i].information[0])[scatters]
+        sd = np.maximum(information, 1e-12) ** -0.5
+        squares = local_squares(likelihood, x, shares, scatters, sd)
+        off = draws.material[:, scatters] - x[:, scatters]
+        logs.append(marginal_log_p(squares, off, variances))
+    return np.stack(logs, axis=1)
+
+
 def _write(file: h5py.File, fit: FitResult) -> None:
-    misfit = fit.misfit
-    keys = [p.key for p in fit.parameters]
-    sd, band, units = misfit.sd, fit.band, units_of(misfit.problem)
-    file.attrs.update(
-        {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
-    )
-    write_values(file, fitted_values(fit))
-    for number, (law, other) in enumerate(fit.alternatives.items(), start=1):
-        group = file.create_group(f"{LAWS}/{number}")
-        group.attrs["law"] = law
-        write_values(group, fitted_values(other))
+    problem = fit.problem
+    file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
+                       **fit.versions})  # fmt: skip
     _write_inputs(file, fit)
-    if fit.posterior is not None:
-        group = file.create_group("posterior")
-        samples = fit.posterior.samples
-        axis = Variable("sample", ("sample",), "1", "number of the sample", integer=True)
-        write_variable(group, axis, np.arange(len(samples)))
-        for j, parameter in enumerate(fit.parameters):
-            unit = units[parameter.key]
-            variable = Variable(parameter.key, ("sample",), unit, "sample of the posterior")
-            write_variable(group, variable, samples[:, j])
-    for number, (experiment, series, part) in enumerate(misfit.records, start=1):
-        name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}"
-        group, put = _group_of_readings(
-            file, name, series.n, experiment=experiment.name, series=series.name,
-            quantity=series.quantity, file=series.file, data_unit=series.unit,
-            contact=experiment.case.contact,
-        )  # fmt: skip
-        base = _unit(series.quantity)
-        write_variable(group, PARAMETER, keys)
-        write_variable(group, PARAMETER_UNIT, list(units.values()))
-        if series.profile:
-            put("r", series.x, "mm", "radius")
-        else:
-            put("time", series.x, "s", "time")
-        put("data", series.value, base, "what was read")
-        put("sd", sd[part], base, "noise of the data")
-        meaning = "the model's reading, with nuisances and random wear"
-        put("model", fit.evaluation.model[part], base, meaning)
-        put("band", band[part], base, "sd of the model's reading")
-        if fit.material is not None:
-            for body, key in enumerate(fit.material.process):
+    number = 0
+    for test in fit.tests:
+        for series, part in test.records:
+            number += 1
+            name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}"
+            _, put = _group_of_readings(
+                file, name, series.n, experiment=test.experiment.name, series=series.name,
+                quantity=series.quantity, file=series.file, data_unit=series.unit,
+                contact=test.experiment.case.contact,
+            )  # fmt: skip
+            base = BASE[series.kind]
+            if series.profile:
+                put("r", series.x, "mm", "radius")
+            else:
+                put("time", series.x, "s", "time")
+            put("data", series.value, base, "what was read")
+            put("sd", test.sd[part], base, "noise of the data")
+            meaning = "the model's reading, with nuisances and random wear"
+            put("model", test.model[part], base, meaning)
+            put("band", test.band[part], base, "sd of the model's reading")
+            for body, key in enumerate(problem.settings.process):
                 name = f"excess_{body_of_wear(key)}"
-                excess, excess_sd = (
-                    fit.material.best_fit.excess[part],
-                    fit.material.best_fit.excess_sd[part],
-                )
                 meaning = "mean depth worn beyond that of the law, by the readings"
-                put(name, excess[:, body], "mm", meaning)
-                put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")
-        if misfit.censored[part].any():
-            meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-            put("censored", misfit.censored[part], "1", meaning)
-        put("residual", fit.residuals[part], "1", "data less model over its noise, white")
-        put(
-            "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",
-            "derivative of the model's reading with respect to each fitted key", "parameter",
-        )  # fmt: skip
+                put(name, test.excess[part, body], "mm", meaning)
+                put(f"{name}_sd", test.excess_sd[part, body], "mm", f"sd of {name}")
+            if test.censored[part].any():
+                meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+                put("censored", test.censored[part], "1", meaning)
+            put("residual", test.residuals[part], "1", "data less model over its noise, white")
 
 
 def _write_inputs(file: h5py.File, fit: FitResult) -> None:
@@ -160,7 +169,3 @@ def _group_of_readings(
         write_variable(group, Variable(word, ("reading", *more), unit, meaning), values)
 
     return group, put
-
-
-def _unit(quantity: str) -> str:
-    return BASE[quantity.partition(".")[0]]

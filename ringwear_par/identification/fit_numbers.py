@@ -1,33 +1,22 @@
 """The contents of fit.json, with each key in its user's unit and as a specific wear rate."""
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
-from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
-from ringwear_par.identification.definition.problem import SCALE, FittedParameter, Problem
-from ringwear_par.identification.estimation.intervals import ParameterEstimate
-from ringwear_par.identification.estimation.starts import StartOutcome
-from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.scatter.posterior import Mixture
-from ringwear_par.results.laboratory_numbers import (
-    LABORATORY_NUMBERS,
-    laboratory_inputs,
-    laboratory_numbers,
-)
-from ringwear_par.results.result import Result
-from ringwear_par.studies.execution.many import simulate_all
+from ringwear_par.identification.definition.fitted_parameters import unit_scale
+from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.identification.doubts import checks, coarse_wear, conditions
 from ringwear_par.wear.laws.threshold import AboveThreshold
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.fit_result import FitResult
 
 _FRICTION = "contact.friction"
 
@@ -59,33 +48,32 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
 
 
 def specific_wear_rate(
-    problem: Problem, key: str, entries: Mapping[str, Entry], covariance: Sequence[Sequence[float]]
+    problem: Problem, key: str, entries: Mapping[str, Entry], values: FloatArray
 ) -> dict[str, Any] | None:
     """Return the specific wear rate of a fitted wear coefficient; None where there is no one.
 
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
-    The covariance (m, m) is of the values of the keys.
+    The values (s, m) are draws of the keys.
     """
     body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
     share = _share_of_friction(problem, body, entries) if body in BODIES else None
-    if share is None or entry["sd"] is None:
+    if share is None:
         return None
     scale, i = share / factor(SPECIFIC, None), problem.keys.index(key)
     estimate = scale * entry["estimate"]
     rate: dict[str, Any] = {"unit": SPECIFIC, "estimate": estimate}
-    relative = entry["sd"] / entry["estimate"]
     rate["interval"] = [None if end is None else scale * end for end in entry["interval"]]
+    rate["sd"] = scale * entry["sd"]
     if share != 1.0:
         rate["mu"] = share
         if _FRICTION in problem.keys:
-            j, mu = problem.keys.index(_FRICTION), share
-            variance = relative**2 + covariance[j][j] / mu**2
-            variance += 2.0 * covariance[i][j] / (mu * entry["estimate"])
-            relative = math.sqrt(max(variance, 0.0))
-            reach = math.exp(relative * norm.ppf(0.5 + 0.5 * problem.settings.level))
-            linear = entry["interval_of"] == "linear model" and None not in entry["interval"]
-            rate["interval"] = [estimate / reach, estimate * reach] if linear else [None, None]
-    rate["sd"] = relative * estimate
+            products = values[:, i] * values[:, problem.keys.index(_FRICTION)]
+            products = products / factor(SPECIFIC, None)
+            estimate = rate["estimate"] = float(np.median(products))
+            rate["sd"] = float(products.std())
+            level = problem.settings.level
+            ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)])
+            rate["interval"] = ends.tolist()
     rate[CUSTOMARY] = estimate * factor(SPECIFIC, None) / factor(CUSTOMARY, None)
     return rate
 
@@ -114,15 +102,13 @@ def _share(case: Case, body: str, threshold: float | None) -> float | None:
     return None if ratio is None else round(float(ratio * mu / law.k), 12)
 
 
-def to_dict(fit: FitResult) -> dict[str, Any]:
+def to_dict(fit: "FitResult") -> dict[str, Any]:
     """Return the contents of fit.json."""
-    problem = fit.misfit.problem
+    problem, solution = fit.problem, fit.solution
     return {
         "parameters": _parameters(fit),
-        "keys": [p.key for p in fit.parameters],
-        "covariance": _finite(fit.natural_covariance),
-        "information": fit.information.tolist(),
-        "log": [p.log for p in problem.parameters],
+        "keys": [*problem.keys],
+        "covariance": fit.covariance.tolist(),
         "level": problem.settings.level,
         "chi2": fit.chi2,
         "n_data": fit.n,
@@ -131,21 +117,21 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
         "flagged": fit.flagged,
         "aic": fit.aic,
         "bic": fit.bic,
-        "log_evidence": log_evidence(fit),
-        "specimens": len({e.groups[0] for e in problem.experiments}),
-        "process": {} if fit.material is None else fit.material.process,
+        "log_evidence": solution.log_evidence,
+        "evidence": {"log": solution.log_evidence, "error": solution.evidence_error},
+        "specimens": len({test.groups[0] for test in problem.experiments}),
+        "process": _process(fit),
         "experiments": fit.experiments,
-        "tests": _tests(fit),
+        "tests": dict(fit.laboratory),
         "nuisance": fit.nuisances,
         "inputs": _inputs(fit),
-        "histories": fit.histories,
-        "histories_of_profiles": fit.histories_of_profiles,
-        "steps": fit.misfit.responses.steps,
-        "moved_by_shorter_steps": dict(fit.discretisation_shift_sd),
+        "histories": solution.histories,
+        "failed_histories": solution.failed,
+        "steps": solution.steps,
+        "draws": {"effective": solution.effective, "stored": len(fit.draws)},
+        "checks": checks(fit),
         "doubts": [doubt.to_dict() for doubt in fit.doubts],
         "warnings": [doubt.text for doubt in fit.doubts],
-        "starts": [_started(start, problem.keys) for start in fit.starts],
-        "profiles": {key: _finite(table) for key, table in fit.profiles.items()},
         "alternatives": {
             name: {
                 k: v
@@ -155,163 +141,56 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
             for name, alternative in fit.alternatives.items()
         }
         | {name: {"error": reason} for name, reason in fit.failed.items()},
-        "method": problem.settings.method,
         "loss": problem.settings.loss,
         "versions": dict(fit.versions),
         "data": dict(problem.hashes),
         "key": problem.key,
-    }
+    }  # fmt: skip
 
 
-def _parameters(fit: FitResult) -> dict[str, Any]:
-    problem = fit.misfit.problem
-    units, bounds = units_of(problem), {p.key: p.bounds for p in problem.parameters}
-    entries = {
-        p.key: {
-            **_parameter(p),
-            "bounds": list(bounds[p.key]),
-            "of": "specimens",
-            "interval_of": "likelihood profile" if p.key in fit.profiles else "linear model",
-            "unit": units[p.key],
-        }
-        for p in fit.parameters
-    }
-    if fit.material is not None:
-        for j, entry in enumerate(entries.values()):
-            entry.update(fit.material.entry(j))
-    for doubt in fit.doubts:
-        if doubt.code == "conditional-verdict":
-            key, bound = doubt.keys
-            entries[key].setdefault("conditional_on", []).append(bound)
-    if fit.posterior is not None:
-        samples = fit.posterior.samples
-        ends = fit.posterior.interval(problem.settings.level)
-        for j, entry in enumerate(entries.values()):
-            entry["posterior"] = {
-                "median": float(np.median(samples[:, j])),
-                "sd": float(samples[:, j].std(ddof=1)),
-                "interval": ends[:, j].tolist(),
-                "effective_samples": fit.posterior.effective,
-            }
-    covariance = fit.natural_covariance.tolist()
+def _parameters(fit: "FitResult") -> dict[str, dict[str, Any]]:
+    problem, entries = fit.problem, {key: dict(entry) for key, entry in fit.entries.items()}
+    for key, bound, _ in conditions(fit):
+        entries[key].setdefault("conditional_on", []).append(bound)
+    values = fit.draws.values(fit.draws.material)
     for parameter in problem.parameters:
         entry, case = entries[parameter.key], problem.experiments[0].case
         if (numbers := in_users_unit(parameter, entry, case)) is not None:
             entry["told"] = numbers
-        rate = specific_wear_rate(problem, parameter.key, entries, covariance)
+        rate = specific_wear_rate(problem, parameter.key, entries, values)
         if rate is not None:
             entry["specific_wear_rate"] = rate
     return entries
 
 
-def _tests(fit: FitResult) -> dict[str, dict[str, Any]]:
-    """Return the numbers of laboratories at the end of each test's history, at its estimates."""
-    misfit, material = fit.misfit, fit.material
-    problem = misfit.problem
-    tests = misfit.values_of_tests(fit.x, None if material is None else material.test_unknowns)
-    cases = [
-        experiment.case.replace(dict(zip(problem.keys, values.tolist(), strict=True)))
-        for experiment, values in zip(problem.experiments, tests, strict=True)
-    ]
-    results = simulate_all(cases, MPI.COMM_SELF)
-    return {
-        experiment.name: {
-            name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].variable.unit}
-            for name, values in laboratory_numbers(laboratory_inputs(result)).items()
-            if np.isfinite(values[-1])
-        }
-        for experiment, result in zip(problem.experiments, results, strict=True)
-        if isinstance(result, Result)
-    }
+def _process(fit: "FitResult") -> dict[str, dict[str, Any]]:
+    process = {key: dict(entry) for key, entry in fit.process.items()}
+    for key, entry in process.items():
+        if coarse_wear(fit, key) and "estimate" in entry["size"]:
+            for name in ("size", "share"):
+                entry[name] = {"estimate": entry[name]["estimate"], "interval": [None, None]}
+    return process
 
 
-def _inputs(fit: FitResult) -> dict[str, dict[str, Any]]:
+def _inputs(fit: "FitResult") -> dict[str, dict[str, Any]]:
     """Return curve, scatter of the readings about it, and scale of each input, by test and key.
 
     The curve is at ``time``, s; the scatter is a relative standard deviation.
     """
     inputs: dict[str, Any] = {}
-    names, sds = fit.misfit.names, fit.standard_deviations
-    for experiment in fit.misfit.problem.experiments:
-        for measured in experiment.inputs:
-            curve, readings = measured.curve(experiment.case), measured.readings(experiment.case)
+    for test in fit.tests:
+        number, case = 0, test.experiment.case
+        for measured in test.experiment.inputs:
+            curve, readings = measured.curve(case), measured.readings(case)
             off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
             entry: dict[str, Any] = {
                 "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
                 "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
             }  # fmt: skip
             if measured.scale is not None:
-                i, mean = names.index((experiment.name, measured.key, SCALE)), measured.scale.mean
-                entry["scale"] = {"estimate": mean * (1.0 + float(fit.x[i])),
-                                  "sd": mean * float(sds[i])}  # fmt: skip
-            inputs.setdefault(experiment.name, {})[measured.key] = entry
+                (mean, sd), drawn = measured.scale, test.nuisances[-1, str(number)]
+                number += 1
+                entry["scale"] = {"estimate": mean + sd * float(drawn.mean()),
+                                  "sd": sd * float(drawn.std())}  # fmt: skip
+            inputs.setdefault(test.experiment.name, {})[measured.key] = entry
     return inputs
-
-
-def _parameter(estimate: ParameterEstimate) -> dict[str, Any]:
-    entry = asdict(estimate)
-    del entry["key"]
-    entry["interval"] = list(estimate.interval)
-    if not estimate.direction:
-        del entry["direction"]
-    return entry
-
-
-def _started(outcome: StartOutcome, keys: tuple[str, ...]) -> dict[str, Any]:
-    entry = asdict(outcome)
-    del entry["unknowns"], entry["number"]
-    for name in ("start", "optimum"):
-        entry[name] = dict(zip(keys, entry[name], strict=False))
-    entry["objective"] = outcome.objective if np.isfinite(outcome.objective) else None
-    return entry
-
-
-def _finite(table: FloatArray) -> list[list[float | None]]:
-    return [[v if np.isfinite(v) else None for v in row] for row in table.tolist()]
-
-
-def log_evidence(fit: "FitResult") -> float | None:
-    """Return the logarithm of the evidence, but for a constant of the readings.
-
-    The likelihood is integrated over keys and nuisances by Laplace's approximation at the estimate:
-    exact where the model is linear over its intervals. With scatter or random wear, sizes are
-    integrated over their grid as well. A key without a prior is uniform within its bounds, or its
-    logarithm is where the scale is logarithmic, so that wide bounds make a law less probable; what
-    lies beyond the bounds of a key does not count. That share is of each key by itself: where
-    several correlated keys are near their bounds, it is multiplied as if they were independent.
-    Free nuisances count alike under all laws: of evidences only differences mean anything.
-
-    None where Laplace's approximation does not hold: a key is not identified, or at its bound
-    without scatter and random wear; noise is fitted or not normal, readings are limits.
-    """
-    misfit, m, material = fit.misfit, len(fit.parameters), fit.material
-    problem = misfit.problem
-    rough = problem.settings.loss != "gaussian" or misfit.censored.any() or fit.noise_fitted
-    known = {"identified"} if material is None else {"identified", "at bound"}
-    if rough or any(parameter.verdict not in known for parameter in fit.parameters):
-        return None
-    low, high = problem.unknown_bounds
-    prior = 0.0
-    for key, (parameter, unknown) in enumerate(zip(problem.parameters, fit.x, strict=False)):
-        width, variance = high[key] - low[key], fit.covariance[key, key]
-        value = Mixture(np.ones(1), np.array([unknown]), np.array([variance]))
-        value = value if material is None else material.mixed.unbounded.unknown(key)
-        prior += value.log_probability(low[key], high[key])
-        if parameter.prior is None:
-            prior -= float(np.log(width))
-        else:  # a density of values, its square is among the readings'
-            prior += float(np.log(parameter.slope(parameter.value(unknown)) / parameter.prior.sd))
-            prior -= 0.5 * float(np.log(2.0 * np.pi))
-    if not np.isfinite(prior):
-        return None
-    if material is not None:
-        constant = 0.5 * (m - misfit.n) * np.log(2.0 * np.pi)
-        return material.mixed.unbounded.log_mass + prior + float(constant)
-    acting = ~misfit.idle
-    covariance = fit.covariance[np.ix_(acting, acting)]
-    if not np.isfinite(covariance).all():
-        return None
-    # keys with nuisances; those that are free, or have priors, are the same under all laws
-    volume = 0.5 * (np.linalg.slogdet(covariance)[1] + m * np.log(2.0 * np.pi))
-    rest = fit.evaluation.residuals[misfit.n :]
-    return float(misfit.log_likelihood(fit.evaluation) - 0.5 * rest @ rest + volume + prior)

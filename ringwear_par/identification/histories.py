@@ -49,6 +49,8 @@ _MANY = 100
 _FIRST, _SHORT = 2e-4, 1e-2
 #: share of the test below which the distance of two times counts as none
 _CLOSE = 1e-7
+#: most operators of points that are remembered
+_MOST_PAIRS = 512
 #: share of its bounds by which a key is moved for a derivative
 _DIFFERENCE = 1e-4
 
@@ -77,19 +79,22 @@ class Readings:
         self.steps = STEPS
         #: histories computed, those that failed, and why the first one did
         self.count, self.failed, self.reason = 0, 0, ""
-        #: of tests whose values have operators of their own there is none
+        #: of the tests, and of the last points where each value has an operator of its own
         self._pairs: dict[Hashable, ContactPair] = {}
         with together(comm):
             for test in problem.experiments:
                 key = operator_key(test.case)
                 if not is_elastic(test.case, problem.keys) and key not in self._pairs:
                     self._pairs[key] = assemble(test.case, comm)
+        self._kept = {*self._pairs}
 
     @property
     def same_as(self) -> list[int]:
-        """The first test of the same conditions and readings, of each test: they share histories."""
+        """The first test with the same conditions and readings, for each test: these share."""
         tests = self.problem.experiments
-        return [next(j for j in range(i + 1) if _alike(tests[j], tests[i])) for i in range(len(tests))]
+        return [
+            next(j for j in range(i + 1) if _alike(tests[j], tests[i])) for i in range(len(tests))
+        ]
 
     def lead(self, job: Callable[[], T]) -> T:
         """Return the result of a job of the first rank, whose blocks all ranks compute.
@@ -136,7 +141,9 @@ class Readings:
         """
         problem, same_as = self.problem, self.same_as
         at = [
-            (same_as[test], tuple(problem.values(x).tolist())) for test, points in wanted for x in points
+            (same_as[test], tuple(problem.values(x).tolist()))
+            for test, points in wanted
+            for x in points
         ]
         # equal bodies together, whose operator is then assembled once
         entries = sorted(dict.fromkeys(at), key=lambda entry: (entry[1], entry[0]))
@@ -198,36 +205,47 @@ class Readings:
     ) -> list[FloatArray | HistoryError]:
         """Return the readings at each (test, values of the keys), by this rank alone."""
         rows: dict[int, FloatArray | HistoryError] = {}
-        groups: dict[Hashable, list[tuple[int, Case]]] = defaultdict(list)
+        cases: dict[int, Case] = {}
         tests = {test: problem.experiments[test] for test, _ in entries}
-        readers = {test: Reader(experiment) for test, experiment in tests.items()}
         for test, experiment in tests.items():
             numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
             points = np.array([entries[i][1] for i in numbers])
-            for i, case in zip(numbers, cases_at(experiment.case, problem.keys, points), strict=True):
+            for i, case in zip(
+                numbers, cases_at(experiment.case, problem.keys, points), strict=True
+            ):
                 if isinstance(case, HistoryError):
                     rows[i] = case
                 else:
-                    groups[operator_key(case)].append((i, case))
-        grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
-        paces = {test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()}
-        for key, group in groups.items():
+                    cases[i] = case
+        pairs = self._pairs
+        while len(pairs) > _MOST_PAIRS:  # the oldest ones that are of a point
+            del pairs[next(key for key in pairs if key not in self._kept)]
+        groups: dict[Hashable, list[int]] = defaultdict(list)
+        for i, case in cases.items():
+            key = operator_key(case)
             try:
-                pair = self._pairs.get(key) or assemble(group[0][1], MPI.COMM_SELF, use_kept=False)
+                if key not in pairs:
+                    pairs[key] = assemble(case, MPI.COMM_SELF, use_kept=False)
+                groups[operator_key(tests[entries[i][0]].case)].append(i)
             except ComputationError as error:
-                rows.update({i: HistoryError(reason_of(error)) for i, _ in group})
-                continue
-            owners = [entries[i][0] for i, _ in group]
+                rows[i] = HistoryError(reason_of(error))
+        readers = {test: Reader(experiment) for test, experiment in tests.items()}
+        grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
+        paces = {
+            test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()
+        }
+        for numbers in groups.values():
+            owners = [entries[i][0] for i in numbers]
             parts = computed(
-                [case for _, case in group], pair, results=True,
-                step_times=[grids[test].tolist() for test in owners],
+                [cases[i] for i in numbers], [pairs[operator_key(cases[i])] for i in numbers],
+                results=True, step_times=[grids[test].tolist() for test in owners],
                 paces=None if factors == (1.0, 1.0) else [paces[test] for test in owners],
             )  # fmt: skip
             for part in parts:
                 for place, result in zip(part.numbers, part.results(), strict=True):
-                    i, case = group[place]
+                    i = numbers[place]
                     if isinstance(result, Result):
-                        rows[i] = readers[entries[i][0]].read(trajectory(result, case))
+                        rows[i] = readers[entries[i][0]].read(trajectory(result, cases[i]))
                     else:
                         rows[i] = HistoryError(reason_of(result))
         return [rows[i] for i in range(len(entries))]
@@ -241,17 +259,33 @@ class Readings:
         low, high = self.problem.unknown_bounds
         step = _DIFFERENCE * (high - low)
         points = [
-            np.vstack([at, np.minimum(at + np.diag(step), high), np.maximum(at - np.diag(step), low)])
+            np.vstack(
+                [at, np.minimum(at + np.diag(step), high), np.maximum(at - np.diag(step), low)]
+            )
             for at in x
         ]
         blocks = self(list(enumerate(points)))
         m = x.shape[1]
         slopes = [
-            (y[1 : m + 1] - y[m + 1 :]).T
-            / (np.diag(at[1 : m + 1]) - np.diag(at[m + 1 :]))
+            (y[1 : m + 1] - y[m + 1 :]).T / (np.diag(at[1 : m + 1]) - np.diag(at[m + 1 :]))
             for at, y in zip(points, blocks, strict=True)
         ]
         return [y[0] for y in blocks], slopes
+
+    def history(self, test: int, unknowns: FloatArray) -> Result:
+        """Return the history of a test at unknowns (m,), or raise HistoryError. By this rank."""
+        experiment, values = self.problem.experiments[test], self.problem.values(unknowns)[None]
+        (case,) = cases_at(experiment.case, self.problem.keys, values)
+        if isinstance(case, HistoryError):
+            raise case
+        pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
+        steps = [step_times(experiment, self.steps).tolist()]
+        (part,) = computed([case], pair, results=True, step_times=steps)
+        (result,) = part.results()
+        if not isinstance(result, Result):
+            raise HistoryError(reason_of(result))
+        self.count += 1
+        return result
 
     def with_friction_at(self, unknowns: FloatArray) -> Problem:
         """Return the problem, friction as its torques tell it at unknowns (tests, m).
@@ -263,21 +297,14 @@ class Readings:
         for number, test in enumerate(experiments):
             if test.torque_input is None:
                 continue
-            values = self.problem.values(unknowns[number])[None]
-            (case,) = cases_at(test.case, self.problem.keys, values)
-            if isinstance(case, HistoryError):
-                raise case
-            pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
-            (part,) = computed([case], pair, results=True, step_times=[step_times(test).tolist()])
-            (result,) = part.results()
-            if not isinstance(result, Result):
-                raise HistoryError(reason_of(result))
-            self.count += 1
+            result, friction = self.history(number, unknowns[number]), test.case.friction
             time, force, torque = (result.histories[n] for n in ("time", "force", "torque"))
             pressed = force > 0.0
             at = time[pressed]
-            radius = torque[pressed] / (in_time(case.friction, at) * force[pressed])
-            experiments[number] = test.with_radius(Table(tuple(at.tolist()), tuple(radius.tolist())))
+            radius = torque[pressed] / (in_time(friction, at) * force[pressed])
+            experiments[number] = test.with_radius(
+                Table(tuple(at.tolist()), tuple(radius.tolist()))
+            )
         return self.problem.with_experiments(tuple(experiments))
 
 
@@ -288,7 +315,10 @@ def _alike(a: Experiment, b: Experiment) -> bool:
     if a.conditions != b.conditions or a.inputs or b.inputs or len(a.series) != len(b.series):
         return False
     return all(
-        s.quantity == t.quantity and s.at == t.at and s.density == t.density and np.array_equal(s.x, t.x)
+        s.quantity == t.quantity
+        and s.at == t.at
+        and s.density == t.density
+        and np.array_equal(s.x, t.x)
         for s, t in zip(a.series, b.series, strict=True)
     )
 

@@ -21,12 +21,7 @@ from scipy.special import gammaln, log_ndtr, logsumexp
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.definition.problem import Experiment, Nuisance
 from ringwear_par.identification.emulator import Emulator
-from ringwear_par.identification.noise import (
-    brownian_root,
-    log_volume,
-    student_weights,
-    whitened,
-)
+from ringwear_par.identification.noise import log_volume, student_weights, whitened
 from ringwear_par.identification.readings import growth, nuisance_columns
 
 #: logarithms of the least and the largest share of random wear
@@ -112,9 +107,9 @@ class Noise:
         if setting.clocks:
             covariance = np.eye(len(self.rows))
             for (slope, depth), share in zip(setting.clocks, shares, strict=True):
-                wear = slope[self.rows, None] * brownian_root(depth[self.rows])
-                root = share * self._over_noise(wear)
-                covariance += root @ root.T
+                slope, depth = slope[self.rows, None], depth[self.rows]
+                wear = self._over_noise(slope * np.minimum.outer(depth, depth))
+                covariance += share**2 * self._over_noise(slope * wear.T)
             self._factor = np.linalg.cholesky(covariance)
         normal = np.concatenate([self.white(self.columns), priors])
         size = np.linalg.norm(normal, axis=0)
@@ -286,7 +281,9 @@ class TestLikelihood:
         self.limits = np.flatnonzero(self._side)
         numbers = range(len(test.series))
         joint = bool(setting.clocks or setting.scales)
-        apart = [i for i in numbers if not joint and (i in setting.times or test.series[i].sd_fitted)]
+        apart = [
+            i for i in numbers if not joint and (i in setting.times or test.series[i].sd_fitted)
+        ]
         rest = tuple(i for i in numbers if i not in apart)
         #: numbers of the series that are judged together
         self.parts = [*([rest] if rest else []), *((i,) for i in apart)]
@@ -324,10 +321,10 @@ class TestLikelihood:
     def by_node(self, readings: FloatArray) -> list[FloatArray]:
         """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
         every = []
-        for part, (noise, growth) in zip(self.parts, self.noises, strict=True):
-            squares = growth.squares(noise(self._rows(noise, readings)))
-            logs = self.log_p(part, noise.freedom - growth.free, squares)
-            every.append(noise.log_constant + growth.log_constants[:, None] + logs)
+        for part, (noise, grown) in zip(self.parts, self.noises, strict=True):
+            squares = grown.squares(noise(self._rows(noise, readings)))
+            logs = self.log_p(part, noise.freedom - grown.free, squares)
+            every.append(noise.log_constant + grown.log_constants[:, None] + logs)
         return every
 
     def __call__(self, readings: FloatArray) -> FloatArray:
@@ -340,7 +337,7 @@ class TestLikelihood:
     def nuisance_draws(
         self, readings: FloatArray, random: np.random.Generator | None = None
     ) -> tuple[FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
-        """Return nuisances by readings (P, n) of the model: a draw each, or without random the best.
+        """Return nuisances by readings (P, n) of the model: a draw each, or else the best.
 
         What they add to the readings (P, n); values (P,) by the series' number and kind, those of
         the calibrations of inputs, in their sd, by -1 and their number; and growth times (P,) s.
@@ -348,7 +345,7 @@ class TestLikelihood:
         added, count = np.zeros_like(readings), len(readings)
         values: dict[tuple[int, str], FloatArray] = {}
         times: dict[int, FloatArray] = {}
-        for part, (noise, growth), logs in zip(
+        for part, (noise, grown), logs in zip(
             self.parts, self.noises, self.by_node(readings), strict=True
         ):
             if random is None:
@@ -356,15 +353,15 @@ class TestLikelihood:
             else:
                 chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
                 nodes = np.minimum((chance < random.random(count)).sum(axis=0), len(logs) - 1)
-            rows, amplitudes = self._rows(noise, readings), np.zeros((count, len(growth.series)))
+            rows, amplitudes = self._rows(noise, readings), np.zeros((count, len(grown.series)))
             white = noise(rows)
             for node in np.unique(nodes).tolist():
                 some = nodes == node
-                best, root = growth.amplitudes(white[:, some], node)
+                best, root = grown.amplitudes(white[:, some], node)
                 if random is not None:
                     best = best + root.T @ random.standard_normal(best.shape)
                 amplitudes[some] = best.T
-                rows[:, some] -= growth.columns[node].T @ best
+                rows[:, some] -= grown.columns[node].T @ best
             linear = noise.best_nuisances(rows).T
             if random is not None and linear.shape[1]:
                 zero = np.zeros(linear.shape[1])
@@ -372,14 +369,14 @@ class TestLikelihood:
                     zero, noise.covariance, count, method="eigh"
                 )
             added[:, noise.rows] = linear @ noise.columns.T + np.einsum(
-                "pg,pgn->pn", amplitudes, growth.columns[nodes]
+                "pg,pgn->pn", amplitudes, grown.columns[nodes]
             )
             owners = [(i, n.kind) for i in part for n in self.test.series[i].linear_nuisances]
             owners += [(-1, str(j)) for j in range(linear.shape[1] - len(owners))]
             values.update(zip(owners, linear.T, strict=True))
-            for place, i in enumerate(growth.series):
+            for place, i in enumerate(grown.series):
                 values[i, "thermal"] = amplitudes[:, place]
-                times[i] = growth.times[nodes, place]
+                times[i] = grown.times[nodes, place]
         return added, values, times
 
     def adapted(self, readings: FloatArray, loss: str) -> Setting:
@@ -407,11 +404,11 @@ class TestLikelihood:
     def with_times_that_count(self, readings: FloatArray) -> Setting:
         """Return the setting with growth times (s) that matter at some of the readings (P, n)."""
         times = dict(self.setting.times)
-        for (_, growth), logs in zip(self.noises, self.by_node(readings), strict=True):
+        for (_, grown), logs in zip(self.noises, self.by_node(readings), strict=True):
             counts = (logs - logs.max(axis=0)).max(axis=1) > -_COUNTS
-            for place, i in enumerate(growth.series):
-                every = np.unique(growth.times[:, place])
-                kept = growth.times[counts, place]
+            for place, i in enumerate(grown.series):
+                every = np.unique(grown.times[:, place])
+                kept = grown.times[counts, place]
                 first, last = np.searchsorted(every, [kept.min(), kept.max()])
                 low, high = times[i]
                 times[i] = (
@@ -453,8 +450,8 @@ class EmulatedLikelihood:
             _, root, taken, constant = self._form(*likelihood.noise_at(part, shares))
             grams.append(root.T @ root - np.einsum("kgi,kgj->kij", taken, taken))
             constants.append(constant)
-        #: Chebyshev coefficients (K, nodes of shares, q q) of the matrices of squares at each growth
-        #: time, and (K, nodes of shares) of the constants
+        #: Chebyshev coefficients (K, nodes, q q) of matrices of squares at each growth time, and
+        #: (K, nodes) of constants
         self._grams = np.einsum("cs,skij->kcij", weights, grams).reshape(
             len(constants[0]), len(weights), -1
         )
@@ -469,7 +466,9 @@ class EmulatedLikelihood:
         rows = noise(rows)
         taken = growth.directions(rows, np.eye(1, rows.shape[1])[0])
         constants = noise.log_constant + growth.log_constants
-        root = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+        root: FloatArray = rows
+        if len(rows) > rows.shape[1]:
+            root = np.linalg.qr(rows)[1]
         return noise.freedom - growth.free, root, taken, constants - 0.5 * growth.constant
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:

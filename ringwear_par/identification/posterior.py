@@ -22,14 +22,18 @@ from ringwear_par.identification.likelihood import LOG_SHARES, EmulatedLikelihoo
 
 #: degrees of freedom of half-t priors of sizes
 _DEGREES = 4.0
-#: logarithms of sizes are within it
-_LARGEST = 12.0
+#: logarithms of sizes are no farther from those of the scales of their priors
+_FAR = 10.0
+#: share of the variance that keeps covariances of groups regular where one level vanishes
+_REGULAR = 1e-10
 
 
 def log_half_t(log_size: FloatArray, scale: float) -> FloatArray:
     """Return the log density of log sizes by the half-t prior of sizes, but for a constant."""
     square = np.exp(2.0 * log_size) / scale**2
-    logs: FloatArray = log_size - np.log(scale) - 0.5 * (_DEGREES + 1.0) * np.log1p(square / _DEGREES)
+    logs: FloatArray = (
+        log_size - np.log(scale) - 0.5 * (_DEGREES + 1.0) * np.log1p(square / _DEGREES)
+    )
     return logs
 
 
@@ -72,7 +76,9 @@ class Scattering:
             rest = np.square(x - mean[..., None]).sum(axis=-1) / tau**2
             return mean, precision, -n * np.log(tau) - 0.5 * rest - 0.5 * np.log(precision)
         sizes = np.stack([self.size(theta, level) for level in range(len(self.levels))], axis=-1)
+        total = np.square(sizes).sum(axis=-1)[..., None, None]
         covariance = np.einsum("...l,lij->...ij", sizes**2, self.same)
+        covariance = covariance + _REGULAR * total * np.eye(x.shape[-1])
         factor = np.linalg.inv(np.linalg.cholesky(covariance))
         a, b = np.einsum("...ij,...j->...i", factor, x), factor.sum(axis=-1)
         precision = np.square(b).sum(axis=-1)
@@ -83,7 +89,7 @@ class Scattering:
 
 
 class Layout:
-    """Places in theta: keys that do not scatter, log sizes, log shares of random wear, groups' values."""
+    """Places in theta: keys that do not scatter, log sizes and shares, values of groups."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem, tests = problem, problem.experiments
@@ -120,9 +126,9 @@ class Layout:
             names = [[tests[t].groups[i] for t in first] for i in levels]
             same = np.array([[[a == b for b in n] for a in n] for n in names], dtype=float)
             place = slice(at, at + len(first))
-            known = tuple(size or 0.0 for size in scatter.sizes.values())
+            sizes_known = tuple(size or 0.0 for size in scatter.sizes.values())
             self.scatterings.append(
-                Scattering(j, place, group, tuple(scatter.sizes), tuple(sizes), known, same)
+                Scattering(j, place, group, tuple(scatter.sizes), tuple(sizes), sizes_known, same)
             )
             at = place.stop
         #: number of entries of theta
@@ -178,10 +184,10 @@ class Layout:
         logs = np.zeros(theta.shape[:-1])
         for place, scale in self.sizes:
             logs = logs + log_half_t(theta[..., place], scale)
-            logs = np.where(np.abs(theta[..., place]) < _LARGEST, logs, -np.inf)
-        for place in self.share_places:
-            if place is not None:
-                share = theta[..., place]
+            logs = np.where(np.abs(theta[..., place] - np.log(scale)) < _FAR, logs, -np.inf)
+        for at in self.share_places:
+            if at is not None:
+                share = theta[..., at]
                 logs = np.where((share > LOG_SHARES[0]) & (share < LOG_SHARES[1]), logs, -np.inf)
         for place, j in enumerate(self.shared):
             x, p = theta[..., place], self.problem.parameters[j]
@@ -191,7 +197,9 @@ class Layout:
                 logs = logs - 0.5 * ((value - p.prior.mean) / p.prior.sd) ** 2 + x * p.log
         for s in self.scatterings:
             mean, precision, log_p = s.material(theta)
-            ends = [(end - mean) * np.sqrt(precision) for end in (self.low[s.key], self.high[s.key])]
+            ends = [
+                (end - mean) * np.sqrt(precision) for end in (self.low[s.key], self.high[s.key])
+            ]
             inside = np.exp(log_ndtr(ends[1])) - np.exp(log_ndtr(ends[0]))
             logs = logs + log_p + np.log(np.maximum(inside, 1e-300))
         return logs
@@ -236,7 +244,9 @@ class Posterior(Layout):
         logs[~self.holds(x)] = -np.inf
         inside = np.isfinite(logs)
         if power and inside.any():
-            logs[inside] += power * self.of_readings(x[inside], self.shares(theta[inside], self.known))
+            logs[inside] += power * self.of_readings(
+                x[inside], self.shares(theta[inside], self.known)
+            )
         return logs
 
     def of_readings(self, x: FloatArray, shares: FloatArray) -> FloatArray:

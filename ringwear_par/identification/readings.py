@@ -143,7 +143,7 @@ def growth(nuisance: Nuisance, case: Case, t: FloatArray, time: float) -> FloatA
 
 
 def nuisance_columns(series: Series, case: Case) -> FloatArray:
-    """Return (n, nuisances) what each linear nuisance of a series adds to its readings, by its unit.
+    """Return (n, nuisances) what a unit of each linear nuisance adds to readings of a series.
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with its change since the start); the tilt

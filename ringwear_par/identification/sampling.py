@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 
 import emcee
 import numpy as np
@@ -69,7 +70,7 @@ class Nearby:
 
 
 def draw(
-    log_p: Callable[[FloatArray, float], FloatArray],
+    log_p: Callable[..., FloatArray],
     draws: FloatArray,
     old: FloatArray,
     most: float,
@@ -104,13 +105,14 @@ def draw(
         walkers = max(_WALKERS, _A_DIMENSION * draws.shape[1])
         chance = (weights + 1e-9 * good) / (weights + 1e-9 * good).sum()
         # a start that is not drawn twice, as far as there are enough
-        start = draws[random.choice(len(draws), walkers, np.count_nonzero(chance) < walkers, chance)]
+        start = draws[
+            random.choice(len(draws), walkers, np.count_nonzero(chance) < walkers, chance)
+        ]
         last = power >= most
         # draws of this power, as far as those there are know it
         likely = draws[random.choice(len(draws), min(len(draws), _LIKELY), True, chance)]
-        draws, old, effective = sample(
-            lambda x, power=power: log_p(x, power), start, Nearby(likely), random, want * last
-        )
+        at_power = partial(log_p, power=power)
+        draws, old, effective = sample(at_power, start, Nearby(likely), random, want * last)
     return draws, old, effective
 
 
@@ -139,7 +141,8 @@ def sample(
         return new, nearby.log_density(x) - nearby.log_density(new)
 
     moves = [
-        (emcee.moves.MHMove(anywhere), 0.4), (emcee.moves.DEMove(), 0.45), (emcee.moves.StretchMove(), 0.15),
+        (emcee.moves.MHMove(anywhere), 0.4), (emcee.moves.DEMove(), 0.45),
+        (emcee.moves.StretchMove(), 0.15),
     ]  # fmt: skip
     sampler = emcee.EnsembleSampler(walkers, d, log_p, moves=moves, vectorize=True)
     sampler.random_state = np.random.RandomState(int(random.integers(2**31))).get_state()
@@ -161,7 +164,7 @@ def sample(
 
 
 def correlation_time(chain: FloatArray) -> float:
-    """Return after how many states the walkers of a chain (states, walkers, d) have forgotten theirs.
+    """Return after how many states the walkers of a chain (states, walkers, d) forget theirs.
 
     The largest integrated autocorrelation time of all d (Sokal's window, as emcee has it).
     """

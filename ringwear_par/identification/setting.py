@@ -40,7 +40,7 @@ def needs_middle(problem: Problem) -> bool:
 def settings_at(
     readings: Readings, old: list[Setting], middle: FloatArray, shares: FloatArray, *, first: bool
 ) -> list[Setting]:
-    """Return the settings of all tests at unknowns (tests, m); the old ones where there is no history.
+    """Return the settings of all tests at unknowns (tests, m), the old ones without a history.
 
     Friction is told anew by torques there: ``readings.problem`` changes. On the first rank.
 
@@ -92,9 +92,14 @@ def random_wear(
     for place, body in enumerate(bodies):
         factors = tuple(1.0 + _DIFFERENCE * (b == body) for b in range(len(BODIES)))
         faster = [y[0] for y in readings(wanted, factors=(factors[0], factors[1]))]
-        slopes.append([(f - u)[: t.n] / _DIFFERENCE for f, u, t in zip(faster, usual, tests, strict=True)])
+        slopes.append(
+            [(f - u)[: t.n] / _DIFFERENCE for f, u, t in zip(faster, usual, tests, strict=True)]
+        )
         worn.append(
-            [u[(1 + place) * t.n : (2 + place) * t.n] / t.case.area for u, t in zip(usual, tests, strict=True)]
+            [
+                u[(1 + place) * t.n : (2 + place) * t.n] / t.case.area
+                for u, t in zip(usual, tests, strict=True)
+            ]
         )
     readings.problem = problem
     depths = np.array([max((np.nanmax(d, initial=1e-300) for d in w), default=0.0) for w in worn])
@@ -109,10 +114,16 @@ def random_wear(
 
 
 def _with_volumes(test: Experiment, bodies: list[int]) -> Experiment:
-    """Return a test that also has the volumes worn off some bodies, at the times of all readings."""
+    """Return a test that has volumes worn off some bodies, too, at the times of all readings."""
     times = np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
     more = [
-        Series(f"volume.{BODIES[b]}", f"volume.{BODIES[b]}", times, np.zeros_like(times), np.ones_like(times))
+        Series(
+            f"volume.{BODIES[b]}",
+            f"volume.{BODIES[b]}",
+            times,
+            np.zeros_like(times),
+            np.ones_like(times),
+        )
         for b in bodies
     ]
     return replace(test, series=(*test.series, *more))

@@ -17,16 +17,22 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
+from ringwear_par.identification.funnel import Funnel
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
 from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
 from ringwear_par.identification.setting import needs_middle, settings_at
 
-#: draws at first; points that fill the box of an emulator and draws with true histories, a round
-_FIRST, _FILLING, _TRIED = 2048, 96, 48
-#: margin of a box, as a share of its edges
+#: draws at first; points that fill the box of an emulator, and more for each key; draws that have
+#: true histories, a round
+_FIRST, _FILLING, _A_KEY, _TRIED = 2048, 32, 16, 40
+#: margin of a box, as a share of its edges; it doubles while draws are at faces
 _MARGIN = 0.1
+#: factor by which the power may grow in a round, and power that the first round may reach
+_LEAP, _FIRST_LEAP = 100.0, 0.01
+#: sd of the error of log p that says that the draws have gone astray
+_ASTRAY = 3.0
 #: rms error of a reading, in its sd, that is good enough
 _GOOD = 0.005
 #: rounds in all, and with the whole likelihood
@@ -34,8 +40,8 @@ _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough, and that moves no key by more than
 #: 0.2 sd where steps are halved; share of draws at faces of boxes
 _RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
-#: effective number of draws
-_WANTED = 4000.0
+#: effective number of draws while emulators are checked, and at the end
+_SOME, _WANTED = 1000.0, 4000.0
 #: largest error of log p by the power, in rms
 _TRUST = 0.3
 #: draws that are weighed by true histories where emulators cannot follow, and how many must count
@@ -77,135 +83,273 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
 
     Raises
     ------
-    ComputationError : no histories, or emulators and draws that cannot follow them.
+    ComputationError : no histories, or neither emulators nor draws that can follow them.
     """
-    random, layout = np.random.default_rng(seed), Layout(readings.problem)
-    tests = range(len(readings.problem.experiments))
-    loss, bodies = readings.problem.settings.loss, len(layout.share_places)
-    settings = [Setting.before(test, loss, bodies) for test in readings.problem.experiments]
-    draws, power, whole = layout.anywhere(_FIRST, random), 0.0, 0
-    density = layout.log_prior(draws)
-    known: dict[int, tuple[FloatArray, FloatArray]] = {}
-    emulators: list[Emulator] = []
-    settled, steps_right, off, posterior = not needs_middle(readings.problem), np.inf, np.zeros((0, 1)), None
+    search, whole = _Search(readings, seed), 0
     for number in range(_MOST_ROUNDS):
-        readings.tell(f"round {number + 1}, likelihood to the power {power:.2g}")
-        xs = layout.of_tests(draws)
-        tried = random.permutation(np.unique(draws, axis=0))[:_TRIED]
-        tried_x = layout.of_tests(tried)
-        blocks = readings([(i, tried_x[:, i]) for i in tests])
-        adapts = not settled
-        if adapts:
-            middle = np.median(xs, axis=0)
-            if not number:  # where there is wear
-                rough = _likelihoods(readings.problem, settings, np.zeros(bodies))
-                middle = tried_x[np.nanargmax(_total(rough, blocks))]
-            shares = np.median(layout.shares(draws, _known(settings)), axis=0)
-            before, friction = settings, [test.case.friction for test in readings.problem.experiments]
-            if emulators:
-                some = xs[:: max(1, len(xs) // 256)]
-                settings = [
-                    TestLikelihood(test, settings[i], shares).with_times_that_count(emulators[i](some[:, i]))
-                    for i, test in enumerate(readings.problem.experiments)
-                ]
-            settings = settings_at(readings, settings, middle, shares, first=not number)
-            settled = power == 1.0 and all(map(_is_close, before, settings))
-            if friction != [test.case.friction for test in readings.problem.experiments]:
-                known = {}
-                blocks = readings([(i, tried_x[:, i]) for i in tests])
-        same_as, problem = readings.same_as, readings.problem
-        shares = np.median(layout.shares(draws, _known(settings)), axis=0)
-        likelihoods = _likelihoods(problem, settings, shares)
-        true = _total(likelihoods, blocks)
-        if not np.isfinite(true).any():
-            raise ComputationError(f"{problem.name}: no history at any draw: {readings.reason}")
-        if power == 1.0 and not adapts:
+        readings.tell(f"round {number + 1}, likelihood to the power {search.power:.2g}")
+        tried = search.try_draws()
+        if not search.settled:
+            search.adapt(tried, first=not number)
+        elif search.power == 1.0:
             whole += 1
-            off = np.array([f(y) - f(emulators[i](tried_x[:, i])) for i, (f, y) in enumerate(zip(likelihoods, blocks, strict=True))])
-            at_faces = max(_at_faces(emulators[i].box, xs[:, i]) for i in tests)
-            if np.nanstd(off.sum(axis=0)) < _RIGHT and at_faces < _AT_FACES:
-                finer = readings([(i, tried_x[:, i]) for i in tests], steps=2 * readings.steps)
-                steps_right = float(np.nanstd(_total(likelihoods, finer) - true))
-                if steps_right < _MOST_SHIFT or whole >= _MOST_WHOLE:
-                    break
-                readings.steps, known, blocks = 2 * readings.steps, {}, finer
-                true = _total(likelihoods, blocks)
-            elif whole >= _MOST_WHOLE:
+            if search.is_right(tried) or whole == _MOST_WHOLE:
                 break
-        owners = sorted({*same_as})
-        members = {o: [i for i in tests if same_as[i] == o] for o in owners}
-        boxes = {o: Box.about(xs[:, members[o]].reshape(-1, layout.m), layout.low, layout.high, _MARGIN) for o in owners}
-        filling = {o: boxes[o].design(_FILLING) for o in owners}
-        filled = dict(zip(owners, readings([(o, filling[o]) for o in owners]), strict=True))
-        without, by_owner = np.zeros(len(tried)), {}
-        for o in owners:
-            old_x, old_y = known.get(o, (filling[o][:0], filled[o][:0]))
-            x = np.concatenate([*(tried_x[:, i] for i in members[o]), filling[o], old_x])
-            y = np.concatenate([*(blocks[i] for i in members[o]), filled[o], old_y])
-            inside = boxes[o].holds(x)
-            inside[: len(tried) * len(members[o])] = True
-            x, y = x[inside], y[inside]
-            known[o] = x, y
-            good = np.isfinite(y).all(axis=1)
+        search.emulate(tried)
+        search.draw(_SOME * (search.power == 1.0))
+    if search.effective < _WANTED or search.power < 1.0:
+        readings.tell("draws of the posterior")
+        search.draw(_WANTED)
+    return search.solution()
+
+
+@dataclass(eq=False)
+class _Tried:
+    """Draws (P,) with true histories: unknowns (P, tests, m), and readings (P, n) of each test."""
+
+    x: FloatArray
+    readings: list[FloatArray]
+
+
+class _Search:
+    """Draws that come nearer to the posterior, and emulators about them."""
+
+    def __init__(self, readings: Readings, seed: int) -> None:
+        self.readings, self._layout = readings, Layout(readings.problem)
+        self._random = np.random.default_rng(seed)
+        problem, bodies = readings.problem, len(self._layout.share_places)
+        self._tests = range(len(problem.experiments))
+        self._settings = [
+            Setting.before(test, problem.settings.loss, bodies) for test in problem.experiments
+        ]
+        #: whether the settings are those of where the draws are
+        self.settled = not needs_middle(problem)
+        self.power, self.effective = 0.0, 0.0
+        self._draws = self._layout.anywhere(_FIRST, self._random)
+        self._density = self._layout.log_prior(self._draws)
+        self._emulators: list[Emulator] = []
+        #: points and readings there, by the number of the first test of equal ones
+        self._known: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._likelihoods = self._at_settings()
+        self._error = self._step_error = np.inf
+        self._margin = _MARGIN
+        #: power, draws and their density before the whole likelihood was taken
+        self._before = self.power, self._draws, self._density
+        #: number of the test whose emulator has the largest error
+        self._worst = 0
+
+    @property
+    def _x(self) -> FloatArray:
+        """(s, tests, m) unknowns of the draws."""
+        return self._layout.of_tests(self._draws)
+
+    @property
+    def _shares(self) -> FloatArray:
+        """(bodies,) shares of random wear in the middle of the draws."""
+        known = self._settings[0].shares
+        middle: FloatArray = np.median(self._layout.shares(self._draws, known), axis=0)
+        return np.nan_to_num(middle)
+
+    def _at_settings(self) -> list[TestLikelihood]:
+        pairs = zip(self.readings.problem.experiments, self._settings, strict=True)
+        return [TestLikelihood(test, setting, self._shares) for test, setting in pairs]
+
+    def _log_p(self, every: Sequence[FloatArray]) -> FloatArray:
+        """Return log p (P,) of all tests by their readings (P, n), NaN without a history."""
+        logs = [f(y) for f, y in zip(self._likelihoods, every, strict=True)]
+        total: FloatArray = np.sum(logs, axis=0)
+        return total
+
+    def try_draws(self) -> _Tried:
+        """Return some of the draws with their histories."""
+        some = self._random.permutation(np.unique(self._draws, axis=0))[:_TRIED]
+        x = self._layout.of_tests(some)
+        tried = _Tried(x, self.readings([(i, x[:, i]) for i in self._tests]))
+        if not np.isfinite(np.concatenate(tried.readings, axis=1)).all(axis=1).any():
+            name, reason = self.readings.problem.name, self.readings.reason
+            raise ComputationError(f"{name}: no history at any draw: {reason}")
+        return tried
+
+    def adapt(self, tried: _Tried, *, first: bool) -> None:
+        """Take the settings from the middle of the draws; at first from the best one tried.
+
+        There is wear at that one, which there may not be in the middle of the bounds.
+        """
+        x, readings = self._x, self.readings
+        middle = np.median(x, axis=0)
+        if first:
+            middle = tried.x[np.nanargmax(self._log_p(tried.readings))]
+        before, problem = self._settings, readings.problem
+        if self._emulators:
+            some = x[:: max(1, len(x) // 256)]
+            self._likelihoods = self._at_settings()
+            self._settings = [
+                likelihood.with_times_that_count(emulator(some[:, i]))
+                for i, (likelihood, emulator) in enumerate(
+                    zip(self._likelihoods, self._emulators, strict=True)
+                )
+            ]
+        self._settings = settings_at(readings, self._settings, middle, self._shares, first=first)
+        self.settled = self.power == 1.0 and all(map(_are_close, before, self._settings))
+        self._likelihoods = self._at_settings()
+        if readings.problem is not problem:  # friction changed
+            self._known = {}
+            tried.readings = readings([(i, tried.x[:, i]) for i in self._tests])
+
+    def is_right(self, tried: _Tried) -> bool:
+        """Tell whether emulators and time steps are right where the draws are."""
+        off = np.array(
+            [
+                likelihood(y) - likelihood(self._emulators[i](tried.x[:, i]))
+                for i, (likelihood, y) in enumerate(
+                    zip(self._likelihoods, tried.readings, strict=True)
+                )
+            ]
+        )
+        self._error = float(np.nanstd(off.sum(axis=0)))
+        self._worst = int(np.argmax(np.nanstd(off, axis=1)))
+        x = self._x
+        at_faces = max(
+            (np.abs(self._emulators[i].box.inside(x[:, i])) > 0.97).any(axis=1).mean()
+            for i in self._tests
+        )
+        self._margin = 2.0 * self._margin if at_faces >= _AT_FACES else _MARGIN
+        if self._error > _ASTRAY:  # emulators know now what is there
+            self.power, self._draws, self._density = self._before
+        if self._error >= _RIGHT or at_faces >= _AT_FACES:
+            return False
+        readings = self.readings
+        finer = readings([(i, tried.x[:, i]) for i in self._tests], steps=2 * readings.steps)
+        change = self._log_p(finer) - self._log_p(tried.readings)
+        self._step_error = float(np.nanstd(change))
+        if self._step_error < _MOST_SHIFT:
+            return True
+        readings.steps, self._known, tried.readings = 2 * readings.steps, {}, finer
+        return False
+
+    def emulate(self, tried: _Tried) -> None:
+        """Make emulators in the boxes of the draws, and find the power up to which they hold."""
+        readings, problem, layout = self.readings, self.readings.problem, self._layout
+        self._likelihoods = self._at_settings()
+        same_as, x = readings.same_as, self._x
+        members = {o: [i for i in self._tests if same_as[i] == o] for o in sorted({*same_as})}
+        boxes = {
+            o: Box.about(x[:, tests].reshape(-1, layout.m), layout.low, layout.high, self._margin)
+            for o, tests in members.items()
+        }
+        filling = {o: box.design(_FILLING + _A_KEY * layout.m) for o, box in boxes.items()}
+        filled = dict(zip(members, readings([*filling.items()]), strict=True))
+        emulators, without = {}, [np.zeros(0)] * len(same_as)
+        for o, tests in members.items():
+            known_x, known_y = self._known.get(o, (filling[o][:0], filled[o][:0]))
+            points = np.concatenate([*(tried.x[:, i] for i in tests), filling[o], known_x])
+            every = np.concatenate([*(tried.readings[i] for i in tests), filled[o], known_y])
+            inside = boxes[o].holds(points)
+            inside[: len(tried.x) * len(tests)] = True
+            points, every = points[inside], every[inside]
+            self._known[o] = points, every
+            good = np.isfinite(every).all(axis=1)
             if good.sum() < 2 * layout.m + 2:
-                raise ComputationError(f"{problem.name}: test {problem.experiments[o].name}: hardly any histories: {readings.reason}")
-            log_p = np.array([likelihoods[i](y[good]) for i in members[o]])
+                test, reason = problem.experiments[o].name, readings.reason
+                raise ComputationError(f"{problem.name}: {test}: hardly any histories: {reason}")
+            log_p = np.array([self._likelihoods[i](every[good]) for i in tests])
             distance = np.sqrt(2.0 * (log_p.max(axis=1, keepdims=True) - log_p)).min(axis=0)
-            by_owner[o], left_out = emulate(boxes[o], x, y, settings[o].sd, nearness(distance), _GOOD)
-            for place, i in enumerate(members[o]):
-                rows = slice(place * len(tried), (place + 1) * len(tried))
-                without += likelihoods[i](left_out[rows])
-        emulators = [by_owner[o] for o in same_as]
-        power = max(power, _trusted(true, without - true, power))
-        emulated = [EmulatedLikelihood(f, e) for f, e in zip(likelihoods, emulators, strict=True)]
-        posterior = Posterior(problem, emulated, _known(settings))
-        draws, density, effective = draw(posterior, draws, density, power, random, 1000.0 * (power == 1.0))
-    assert posterior is not None
-    readings.tell("draws of the posterior")
-    weighed = ""
-    error = float(np.nanstd(off.sum(axis=0))) if off.size else np.inf
-    draws, density, effective = draw(posterior, draws, density, 1.0, random, _WANTED)
-    if not error < _RIGHT:
-        draws, density, effective, weighed = _weighed(readings, likelihoods, posterior, draws, density, off, random)
-    evidence, evidence_error = log_evidence(posterior, draws)
-    depths = np.array([p.size or 0.0 for p in problem.settings.process.values()])
-    return Solution(
-        problem, posterior, draws, effective, mode(posterior, draws, density), evidence, evidence_error,
-        depths, error, steps_right, readings.steps, readings.count, readings.failed, readings.reason, weighed,
-    )  # fmt: skip
+            sd, near = self._settings[o].sd, nearness(distance)
+            emulators[o], left_out = emulate(boxes[o], points, every, sd, near, _GOOD)
+            for place, i in enumerate(tests):
+                without[i] = left_out[place * len(tried.x) : (place + 1) * len(tried.x)]
+        true = self._log_p(tried.readings)
+        trusted = _trusted(true, self._log_p(without) - true, self.power)
+        if self.power < 1.0:
+            self._before = self.power, self._draws, self._density
+        self.power = max(self.power, min(trusted, max(_LEAP * self.power, _FIRST_LEAP)))
+        self._emulators = [emulators[o] for o in same_as]
+        pairs = zip(self._likelihoods, self._emulators, strict=True)
+        emulated = [EmulatedLikelihood(likelihood, emulator) for likelihood, emulator in pairs]
+        self._posterior = Posterior(problem, emulated, self._settings[0].shares)
+
+    def draw(self, want: float) -> None:
+        """Draw anew, with the likelihood to the power; ``want`` so many effective draws."""
+        self._draws, self._density, self.effective = _drawn(
+            self._posterior, self._draws, self._density, self.power, self._random, want
+        )
+
+    def solution(self) -> Solution:
+        """Return the draws, weighed by true histories where emulators cannot follow these."""
+        weighed = "" if self.power == 1.0 and self._error < _RIGHT else self._weigh()
+        readings, posterior = self.readings, self._posterior
+        evidence, evidence_error = log_evidence(posterior, self._draws)
+        return Solution(
+            readings.problem, posterior, self._draws, self.effective,
+            mode(posterior, self._draws, self._density), evidence, evidence_error,
+            np.zeros(len(self._layout.share_places)), self._error, self._step_error,
+            readings.steps, readings.count, readings.failed, readings.reason, weighed,
+        )  # fmt: skip
+
+    def _weigh(self) -> str:
+        """Weigh draws by true histories and say so, or ComputationError where few count."""
+        problem, random = self.readings.problem, self._random
+        rows = random.choice(len(self._draws), _WEIGHED, replace=False)
+        x = self._layout.of_tests(self._draws[rows])
+        true = self.readings([(i, x[:, i]) for i in self._tests])
+        emulated = [emulator(x[:, i]) for i, emulator in enumerate(self._emulators)]
+        logs = self._log_p(true) - self.power * self._log_p(emulated)
+        logs[~np.isfinite(logs)] = -np.inf
+        weights = np.exp(logs - logsumexp(logs))
+        self.effective = float(1.0 / (weights @ weights))
+        table = np.column_stack([np.minimum(np.abs(logs), 1e3), x.mean(axis=1)])
+        key = problem.keys[int(np.nanargmax(np.abs(np.corrcoef(table.T)[0, 1:])))]
+        sentence = (
+            f"readings of {problem.experiments[self._worst].name} do not follow {key} smoothly: "
+            f"draws were weighed by {_WEIGHED} histories, and are worth {self.effective:.0f}"
+        )
+        if not self.effective > _LEAST:
+            raise ComputationError(
+                f"{problem.name}: {sentence}; narrower bounds of {key}, or a prior, would help"
+            )
+        chosen = rows[random.choice(_WEIGHED, 4 * _WEIGHED, p=weights)]
+        self._draws, self._density = self._draws[chosen], self._density[chosen]
+        return sentence
 
 
-def _known(settings: Sequence[Setting]) -> FloatArray:
-    """Return the shares of random wear that are known (bodies,); NaN where they are fitted."""
-    return settings[0].shares
+def _drawn(
+    posterior: Posterior,
+    draws: FloatArray,
+    density: FloatArray,
+    power: float,
+    random: np.random.Generator,
+    want: float,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return draws of a posterior, see ``draw``, in coordinates without funnels.
+
+    A few draws first, where many are wanted, tell better coordinates.
+    """
+    if want:
+        draws, density, _ = _drawn(posterior, draws, density, power, random, 0.0)
+    funnel = Funnel(posterior, draws)
+
+    def log_p(flat: FloatArray, power: float) -> FloatArray:
+        theta, volume = funnel.theta(flat)
+        return posterior(theta, power) + volume
+
+    flat = funnel.flat(draws)
+    flat, logs, effective = draw(log_p, flat, density + funnel.theta(flat)[1], power, random, want)
+    theta, volume = funnel.theta(flat)
+    return theta, logs - volume, effective
 
 
-def _likelihoods(problem: Problem, settings: Sequence[Setting], shares: FloatArray) -> list[TestLikelihood]:
-    return [
-        TestLikelihood(test, setting, shares)
-        for test, setting in zip(problem.experiments, settings, strict=True)
-    ]
-
-
-def _total(likelihoods: Sequence[TestLikelihood], blocks: Sequence[FloatArray]) -> FloatArray:
-    """Return log p (P,) of all tests by their readings (P, n); NaN where there is no history."""
-    total: FloatArray = np.sum([f(y) for f, y in zip(likelihoods, blocks, strict=True)], axis=0)
-    return total
-
-
-def _is_close(before: Setting, after: Setting) -> bool:
+def _are_close(before: Setting, after: Setting) -> bool:
     """Tell whether two settings are so near that likelihoods do not differ."""
-    sd = np.abs(np.log(after.sd / before.sd)).max() < 0.05
-    times = all(abs(a - b) < 0.25 * (after.times[i][1] - after.times[i][0]) for i in after.times for a, b in zip(after.times[i], before.times[i], strict=True))
-    clocks = len(before.clocks) == len(after.clocks) and all(
-        np.abs(a[0] - b[0]).max() <= 0.2 * np.abs(b[0]).max() for a, b in zip(after.clocks, before.clocks, strict=True)
+    if np.abs(np.log(after.sd / before.sd)).max() > 0.05 or len(before.clocks) < len(after.clocks):
+        return False
+    times = all(
+        np.abs(np.subtract(before.times[i], ends)).max() < 0.25 * (ends[1] - ends[0])
+        for i, ends in after.times.items()
     )
-    return bool(sd and times and clocks)
-
-
-def _at_faces(box: Box, x: FloatArray) -> float:
-    """Return the share of unknowns (s, m) that are at faces of a box but not at bounds."""
-    return float((np.abs(box.inside(x)) > 0.97).any(axis=1).mean())
+    return times and all(
+        np.abs(new - old).max() <= 0.2 * np.abs(old).max()
+        for (new, _), (old, _) in zip(after.clocks, before.clocks, strict=True)
+    )
 
 
 def _trusted(true: FloatArray, off: FloatArray, power: float) -> float:
@@ -231,43 +375,6 @@ def _trusted(true: FloatArray, off: FloatArray, power: float) -> float:
     return float(new)
 
 
-def _weighed(
-    readings: Readings,
-    likelihoods: Sequence[TestLikelihood],
-    posterior: Posterior,
-    draws: FloatArray,
-    density: FloatArray,
-    off: FloatArray,
-    random: np.random.Generator,
-) -> tuple[FloatArray, FloatArray, float, str]:
-    """Return draws weighed by true histories, where emulators cannot follow them; and a sentence.
-
-    ComputationError where too few of them count.
-    """
-    problem = readings.problem
-    worst = problem.experiments[int(np.argmax(np.nanstd(off, axis=1)))].name if off.size else problem.experiments[0].name
-    rows = random.choice(len(draws), _WEIGHED, replace=False)
-    x = posterior.of_tests(draws[rows])
-    blocks = readings([(i, x[:, i]) for i in range(len(likelihoods))])
-    emulated = [f(p.emulator(x[:, i])) for i, (f, p) in enumerate(zip(likelihoods, posterior.likelihoods, strict=True))]
-    logs = _total(likelihoods, blocks) - np.sum(emulated, axis=0)
-    logs = np.where(np.isfinite(logs), logs, -np.inf)
-    weights = np.exp(logs - logsumexp(logs))
-    effective = float(1.0 / (weights @ weights))
-    spread = np.nan_to_num(np.corrcoef(np.column_stack([np.abs(logs - np.median(logs)), x.mean(axis=1)]), rowvar=False)[0, 1:])
-    key = problem.keys[int(np.argmax(np.abs(spread)))]
-    sentence = (
-        f"readings of {worst} are no smooth functions of {key}: draws were weighed by "
-        f"{_WEIGHED} histories, and are worth {effective:.0f}"
-    )
-    if effective < _LEAST:
-        raise ComputationError(
-            f"{problem.name}: {sentence}; narrower bounds of {key}, or a prior, would help"
-        )
-    chosen = rows[random.choice(_WEIGHED, 4 * _WEIGHED, p=weights)]
-    return draws[chosen], density[chosen], effective, sentence
-
-
 def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatArray:
     """Return theta (d,) of the largest posterior where sizes are at their medians.
 
@@ -283,7 +390,9 @@ def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatA
 
     def minus_log_p(t: FloatArray) -> tuple[float, FloatArray]:
         points = np.tile(best, (1 + 2 * len(free), 1))
-        moved = np.vstack([np.zeros(len(free)), step * np.eye(len(free)), -step * np.eye(len(free))])
+        moved = np.vstack(
+            [np.zeros(len(free)), step * np.eye(len(free)), -step * np.eye(len(free))]
+        )
         points[:, free] = best[free] + scale * (t + moved)
         logs = np.maximum(posterior(points), -1e10)
         slope = (logs[1 : len(free) + 1] - logs[len(free) + 1 :]) / (2.0 * step)

@@ -13,7 +13,7 @@ import numpy as np
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import counted, warning_lines
 from ringwear_par.identification.definition.problem import body_of_wear
-from ringwear_par.identification.definition.scatter import PLURALS, known_sizes
+from ringwear_par.identification.definition.scatter import PLURALS
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
@@ -28,8 +28,8 @@ SERIES = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
 LAWS = (
     "law", "AIC above the smallest", "BIC", "chi2", "probability", "parameters", "verdict",
 )  # fmt: skip
-#: correlations that are listed, and how many at most
-_STRONG, _LISTED = 0.9, 5
+#: digits of numbers: draws know no more
+_DIGITS = 3
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class KeyRow:
 
     #: the key, or what the number is where it is another one
     label: str
-    #: None where limits alone bound the key on one side
+    #: None where it is at a bound, and the interval tells more
     estimate: float | None
-    sd: float | None
+    sd: float
     unit: str
     #: its ends, None where there is no limit
     interval: Interval
@@ -48,18 +48,48 @@ class KeyRow:
     verdict: str = ""
     #: a remark on the number
     note: str = ""
-    #: median and ends of an interval of samples; () for none
-    posterior: tuple[float, ...] = ()
+
+    @property
+    def digits(self) -> int:
+        """How many digits its numbers have."""
+        return digits_of(0.0 if self.estimate is None else self.estimate, self.interval)
+
+    @property
+    def value(self) -> str:
+        """The estimate with its unit, or the limit."""
+        if self.estimate is None:
+            return f"{limits(self.interval)} {self.unit}".rstrip()
+        return f"{number(self.estimate, self.digits)} {self.unit}".rstrip()
+
+    @property
+    def ends(self) -> str:
+        """The interval in words, "" where it is told as the value."""
+        return "" if self.estimate is None else limits(self.interval, self.digits)
 
 
-def limits(interval: Interval, digits: int = 5) -> str:
-    """Return an interval in words."""
+def digits_of(estimate: float, interval: Interval) -> int:
+    """Return how many digits a number and its interval are told with: no more than draws know."""
     low, high = interval
+    if low is None or high is None or low == high:
+        return _DIGITS
+    ratio = max(abs(estimate), abs(low), abs(high)) / (high - low)
+    return max(_DIGITS, 2 + int(np.log10(ratio)))
+
+
+def number(value: float, digits: int = _DIGITS) -> str:
+    """Return a number with some significant digits, without an exponent up to a million."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e" in text and 1e3 <= abs(value) < 1e6 else text
+
+
+def limits(interval: Interval, digits: int = _DIGITS) -> str:
+    """Return an interval in words."""
+    low, high = (None if end is None else number(end, digits) for end in interval)
     if low is not None and high is not None:
-        return f"from {low:.{digits}g} to {high:.{digits}g}"
+        return f"from {low} to {high}"
     if low is None and high is None:
         return "no limit within its bounds"
-    return f"more than {low:.{digits}g}" if high is None else f"less than {high:.{digits}g}"
+    return f"more than {low}" if high is None else f"less than {high}"
 
 
 def users_numbers(entry: Entry) -> tuple[Entry, str]:
@@ -72,16 +102,13 @@ def users_numbers(entry: Entry) -> tuple[Entry, str]:
 def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     """Return the rows of a fitted key: its estimate, and the specific wear rate that this means."""
     in_unit, unit = users_numbers(entry)
-    posterior: tuple[float, ...] = ()
-    if (sampled := entry.get("posterior")) is not None:
-        posterior = tuple(v / in_unit["scale"] for v in (sampled["median"], *sampled["interval"]))
-    verdict, sd = entry["verdict"], in_unit["sd"]
-    estimate = None if verdict == "at bound" and sd is None else in_unit["estimate"]
-    rows = [KeyRow(key, estimate, sd, unit, in_unit["interval"], verdict, "", posterior)]
+    verdict = entry["verdict"]
+    estimate = None if verdict == "at bound" else in_unit["estimate"]
+    rows = [KeyRow(key, estimate, in_unit["sd"], unit, in_unit["interval"], verdict)]
     rate = entry.get("specific_wear_rate")
     if rate is not None and verdict != "not identified":
-        product = f"k mu at mu = {rate['mu']:.4g}" if "mu" in rate else "k"
-        note = f"{product}; {rate[CUSTOMARY]:.4g} {CUSTOMARY}"
+        product = f"k mu at mu = {rate['mu']:.{_DIGITS}g}" if "mu" in rate else "k"
+        note = f"{product}; {rate[CUSTOMARY]:.{_DIGITS}g} {CUSTOMARY}"
         label, limits_of_rate = "specific wear rate", rate["interval"]
         rows.append(
             KeyRow(label, rate["estimate"], rate["sd"], rate["unit"], limits_of_rate, note=note)
@@ -133,16 +160,15 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     solved = {name: law for name, law in laws.items() if "aic" in law}
     best = min(law["aic"] for law in solved.values())
-    evidences = {name: law.get("log_evidence") for name, law in solved.items()}
-    shares = {} if None in evidences.values() else probabilities(evidences)
+    shares = probabilities({name: law["log_evidence"] for name, law in solved.items()})
     rows: list[tuple[str, ...]] = []
     for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
         parameters = ", ".join(_estimate_text(k, p) for k, p in law["parameters"].items())
         verdict = "does not fit" if law["flagged"] else "fits"
         if law["p_value"] is None:
             verdict = "not tested: noise was fitted, has long tails, or readings are limits"
-        numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
-        share = "-" if not shares else f"{shares[name]:.2g}" if shares[name] >= 1e-4 else "< 1e-4"
+        numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.1f}", f"{law['chi2']:.4g}"
+        share = f"{shares[name]:.2g}" if shares.get(name, 0.0) >= 1e-4 else "< 1e-4"
         rows.append((name, *numbers, share, parameters, verdict))
     failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
     return [*rows, *((name, "", "", "", "", "", f"failed: {error}") for name, error in failed)]
@@ -152,7 +178,7 @@ def goodness(outcome: Entry) -> str:
     """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
     p_value = outcome["p_value"]
     entries = [entry for series in outcome["experiments"].values() for entry in series.values()]
-    criteria = f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
+    criteria = f"AIC {outcome['aic']:.1f}, BIC {outcome['bic']:.1f}"
     if all(entry.get("censored") == entry["n"] for entry in entries):
         return f"all readings are limits, which have no chi2; {criteria}"
     noise_fitted = any("sd" in entry for entry in entries)
@@ -166,8 +192,8 @@ def goodness(outcome: Entry) -> str:
     of = counted(outcome["n_data"] - n_limits, "reading")
     of += f" and {counted(n_limits, 'limit')}" * bool(n_limits)
     return (
-        f"chi2 = {outcome['chi2']:.5g} of {of}, "
-        f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); {criteria}"
+        f"chi2 = {outcome['chi2']:.4g} of {of}, "
+        f"{outcome['degrees_of_freedom']:.4g} degrees of freedom ({test}); {criteria}"
     )
 
 
@@ -181,10 +207,8 @@ def _nuisance(kind: str, entry: Entry, unit: str) -> str:
 
 def _estimate_text(key: str, entry: Entry) -> str:
     row = key_rows(key, entry)[0]
-    if row.estimate is None:
-        return f"{key} {limits(row.interval)} {row.unit}".rstrip()
-    sd = row.sd if row.verdict == "identified" else None
-    return f"{key} = {_with_sd(row.estimate, sd, 5, f' {row.unit}'.rstrip())}"
+    known = f" (u = {row.sd:.2g})" * (row.verdict == "identified")
+    return f"{key} {row.value}" if row.estimate is None else f"{key} = {row.value}{known}"
 
 
 def _with_sd(value: float, sd: float | None, digits: int, unit: str) -> str:
@@ -221,12 +245,13 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
             continue
         low, high = scatter["interval"]
         at_bound = ", perhaps none" * (scatter["verdict"] == "at bound")
+        at_bound += ", mostly by its prior" * (scatter["verdict"] == "not identified")
         sizes.append(
             f"{between}{size(scatter['estimate'])}{unit_of_size} ({size(low)} to "
             f"{size(high)}{unit_of_size}{at_bound})"
         )
-    low, high = in_unit["next"]
-    lines = [f"{'; '.join(sizes)}", f"the next specimen: from {low:.4g} to {high:.4g}{unit}"]
+    digits = digits_of(in_unit["estimate"], in_unit["next"])
+    lines = ["; ".join(sizes), f"the next specimen: {limits(in_unit['next'], digits)}{unit}"]
     comparisons = [
         f"{name} {symbol} = {size(estimate[name][symbol])}{unit_of_size}"
         for name, symbol in (("repeatability", "r"), ("reproducibility", "R"))
@@ -253,11 +278,11 @@ def process_lines(outcome: Entry) -> list[str]:
             f"wear of {body_of_wear(key)} fluctuates: sd {100.0 * sd:.2g} % of the "
             f"{1e3 * entry['depth']:.3g} um worn at the end"
         )
-        if (ends := share.get("interval")) is not None:
+        if None not in (ends := share.get("interval", [None])):
             low, high = (100.0 * end for end in ends)
             text += f" ({100.0 * outcome['level']:g} %: {low:.2g} to {high:.2g} %)"
         text += f"; events of {1e6 * events:.3g} nm"
-        if (ends := size.get("interval")) is not None:
+        if None not in (ends := size.get("interval", [None])):
             low, high = (1e6 * end for end in ends)
             text += f" ({low:.3g} to {high:.3g} nm)"
         lines.append(f"{text} (taken as known)" if known else f"{text}  {entry['verdict']}")
@@ -283,128 +308,61 @@ def probabilities(evidences: Mapping[str, float | None]) -> dict[str, float]:
     return dict(zip(known, (shares / shares.sum()).tolist(), strict=True))
 
 
+def check_rows(outcome: Entry) -> list[tuple[str, str, str, str]]:
+    """Return name, statistic, limit and outcome of all that was checked."""
+    rows = []
+    for check in outcome["checks"]:
+        value = check["value"]
+        # probabilities and counts must be more
+        below = value is None or (value < check["limit"]) == check["pass"]
+        told = "-" if value is None else f"{value:.0f}" if value > 100.0 else f"{value:.2g}"
+        sign = "<" if below else ">"
+        rows.append(
+            (check["name"], told, f"{sign} {check['limit']:g}", "pass" if check["pass"] else "FAIL")
+        )
+    return rows
+
+
 def summary(fit: "FitResult") -> str:
-    """Return the outcome in a few lines: the estimates, what speaks against them, the rest."""
-    problem, outcome = fit.misfit.problem, fit.to_dict()
+    """Return the outcome on one screen: the keys, whether the law fits, what was checked."""
+    problem, outcome = fit.problem, fit.to_dict()
     lines = [
         f"{problem.name}: {counted(fit.n, 'reading')} in "
         f"{counted(len(problem.experiments), 'experiment')}, "
-        f"{counted(len(fit.parameters), 'parameter')}, {fit.histories} histories"
-        + (f" ({fit.histories_of_profiles} for profiles)" if fit.profiles else ""),
-        *_parameter_lines(outcome),
+        f"{counted(len(problem.parameters), 'parameter')}, "
+        f"{fit.solution.histories} histories",
+        *parameter_lines(outcome),
         *(f"  {line}" for line in process_lines(outcome)),
     ]
     if not problem.scatters:
         lines.append(f"  intervals {of_specimens(outcome)}")
-    if fit.posterior is not None:
-        lines.append(
-            f"posterior: {len(fit.posterior.samples)} samples worth {fit.posterior.effective:.0f} "
-            f"independent ones, {100.0 * fit.posterior.acceptance:.0f} % of the moves accepted"
-            + ("; fitted noise stays at its best value" if fit.noise_fitted else "")
-        )
+    verdict = "the law does not fit: " if fit.flagged else "the law fits: "
+    lines += [verdict * (fit.p_value is not None) + goodness(outcome), "checks:"]
+    rows = check_rows(outcome)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for name, number, limit, passed in rows:
+        cells = (name.ljust(widths[0]), number.rjust(widths[1]), limit.ljust(widths[2]), passed)
+        lines.append(f"  {'  '.join(cells)}")
     lines += warning_lines(doubt.text for doubt in fit.doubts)
-    lines.append(goodness(outcome))
-    for name, n, chi2, unit, noise, notes in series_rows(outcome):
-        words = [
-            counted(int(n), "reading") if int(n) else "",
-            chi2 and f"chi2 {chi2}",
-            noise and f"noise {noise} {unit}",
-        ]
-        lines.append(f"  {name}: {', '.join(filter(None, [*words, notes]))}")
-    lines += [f"  {line}" for line in input_lines(outcome)]
-    lines += _correlation_lines(fit)
-    if fit.starts:
-        converged = min(fit.starts, key=lambda start: start.objective).converged
-        where = "at this optimum" if converged else "at this point"
-        lines.append(f"{fit.n_at_best} of {counted(len(fit.starts), 'start')} end {where}")
     if fit.alternatives or fit.failed:
         lines += _law_lines(outcome)
-    if shifts := fit.discretisation_shift_sd:
-        most = max(shifts, key=lambda key: abs(shifts[key]))
-        lines.append(f"time steps half as long would move {most} by {shifts[most]:.2g} sd")
     return "\n".join(lines)
 
 
-def prediction(fit: "FitResult") -> str:
-    """Return the summary of a fit whose optimum is the start, with nothing fitted."""
-    problem = fit.misfit.problem
-    lines = [
-        f"{problem.name}: {counted(fit.n, 'reading')} in "
-        f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
-        "their start values (nothing written):"
-    ]
-    lines += warning_lines(doubt.text for doubt in fit.apply("assumptions"))
-    outcome = fit.to_dict()
-    lines += _parameter_lines(outcome)
-    lines += [f"  {line}" for line in process_lines(outcome)]
-    lines += [f"  {line}" for line in known_sizes(problem, outcome["specimens"])]
-    for parameter in fit.parameters:
-        if parameter.direction:
-            lines.append(f"  {parameter.key} would not be identified: {parameter.direction}")
-    lines += _unit_lines(fit)
-    lines += [f"  {line}" for line in input_lines(outcome)]
-    lines += _correlation_lines(fit)
-    settings = problem.settings
-    lines.append(
-        f"planned: {settings.starts} starts by {settings.method}, intervals: "
-        f"{', '.join(settings.intervals)}"
-    )
-    if missing := settings.missing_package:
-        lines.append(f"missing: {missing}")
-    if problem.alternatives:
-        lines.append(f"to be compared: {', '.join(problem.alternatives)}")
-    return "\n".join(lines)
-
-
-def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
+def parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
+    """Return a line of each key, its verdict last, and lines about its scatter."""
     level, parameters = outcome["level"], outcome["parameters"]
     width, lines = max(map(len, parameters)), []
     for key, entry in parameters.items():
-        by = ", likelihood profile" * (entry["interval_of"] == "likelihood profile")
         subject = " of the material" * (entry["of"] == "material")
         row, *derived = key_rows(key, entry)
-        text = _row_text(row, 5)
-        if subject or row.verdict != "not identified":
-            interval = "" if row.estimate is None else f"  {limits(row.interval)}"
-            text = f"{text}{subject}{interval} ({100 * level:g} %{by})"
-        lines.append(f"  {key.ljust(width)}  {text}  {row.verdict}")
-        if row.posterior:
-            median, *ends = row.posterior
-            text = f"{median:.5g} {row.unit}".rstrip()
-            lines.append(f"  {' ' * width}  {text}  {limits(ends)} (posterior)")
-        for derived_row in derived:
-            known = (
-                f"  {limits(derived_row.interval)}" if derived_row.interval != [None, None] else ""
-            )
-            text = f"{derived_row.label} {_row_text(derived_row, 4)}{known} ({derived_row.note})"
+        text = f"{row.value}{subject}  {row.ends}".rstrip()
+        lines.append(f"  {key.ljust(width)}  {text} ({100 * level:g} %)  {row.verdict}")
+        for other in derived:
+            text = f"{other.label} {other.value}  {other.ends} ({other.note})"
             lines.append(f"  {' ' * width}  {text}")
         lines += [f"    {line}" for line in scatter_lines(entry, level)]
     return lines
-
-
-def _row_text(row: KeyRow, digits: int) -> str:
-    number = limits(row.interval) if row.estimate is None else f"{row.estimate:.{digits}g}"
-    return f"{number} {row.unit}".rstrip()
-
-
-def _unit_lines(fit: "FitResult") -> list[str]:
-    lines = []
-    for experiment, series, _ in fit.misfit.records:
-        spread = np.median(series.sd) / series.factor
-        lines.append(
-            f"  {experiment.name}, {series.name}: {counted(series.n, 'reading')} in {series.unit}, "
-            "noise "
-            f"{spread:.3g}{' (guessed, to be fitted)' if series.sd_fitted else ''}"
-        )
-    return lines
-
-
-def _correlation_lines(fit: "FitResult") -> list[str]:
-    strong = [pair for pair in fit.correlations() if abs(pair[2]) > _STRONG]
-    return [
-        f"correlation {value:+.3f} between {first} and {second}"
-        for first, second, value in strong[:_LISTED]
-    ]
 
 
 def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
@@ -414,6 +372,4 @@ def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
         flag = "; does not fit" * (verdict == "does not fit")
         text = f"{', '.join(numbers)}; {parameters}{flag}" if parameters else verdict
         lines.append(f"  {name}: {text}")
-    if all(row[-1] == "does not fit" or not row[1] for row in rows):
-        lines.append("  none of them fits")
     return lines

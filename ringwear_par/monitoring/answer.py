@@ -1,8 +1,8 @@
 """What the readings of a running test say so far: in text, as JSON, as a page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs, with_signs
@@ -11,27 +11,15 @@ from ringwear_par.identification.summary import users_numbers
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo, depth_words
-from ringwear_par.reports.blocks import (
-    Chart,
-    Charts,
-    Lines,
-    Page,
-    Section,
-    Source,
-    Tile,
-    Tiles,
-    software,
-)
+from ringwear_par.reports import blocks
 from ringwear_par.results.key_numbers import time_unit, time_words
 
-#: s, after which a browser loads the page of a test that runs again
-_REFRESH = 10
-#: share of its time from which on a test has ended
-_ENDED = 0.999
+#: s, after which a browser loads the page of a running test again; share of its time from which
+#: on a test has ended
+_REFRESH, _ENDED = 10, 0.999
 
 
-@dataclass(frozen=True)
-class Goal:
+class Goal(NamedTuple):
     """When the interval of a key is as narrow as is wished."""
 
     key: str
@@ -43,8 +31,7 @@ class Goal:
     at_end: float
 
 
-@dataclass(frozen=True)
-class Alarm:
+class Alarm(NamedTuple):
     """Readings left the predicted band."""
 
     #: s, of the first of them
@@ -55,7 +42,7 @@ class Alarm:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What is known of a specimen at a time of its test."""
+    """What is known of a specimen at a time of its test; the contents of follow.json."""
 
     #: name of the experiment
     test: str
@@ -82,9 +69,9 @@ class Answer:
     effective_count: float
     #: how often they were made anew
     redraws: int
-    #: relative error of histories; None: all draws were stepped
-    interpolated: float | None
-    doubts: tuple[str, ...]
+    #: error of histories between those that were computed, over their spread among the draws
+    interpolated: float
+    doubts: Sequence[str]
     #: probability of each law before the test and by the readings, by name; empty: one law only
     laws: Mapping[str, tuple[float, float]]
     #: (answers + 1, 1 + laws) time, probability of each law; before the test at 0
@@ -112,23 +99,21 @@ class Answer:
         """How long it takes to the goal, in words."""
         if self.goal.time is None:
             return "not before the end"
-        if self.goal.time <= self.time:
-            return "reached"
-        return f"in {self._at(self.goal.time - self.time)}"
+        left = self.goal.time - self.time
+        return "reached" if left <= 0.0 else f"in {self._at(left)}"
 
-    def lines(self) -> list[str]:
-        """Return the answer in lines of text."""
-        goal, share = self.goal, f"{100 * self.level:g} %"
+    def lines(self, *, warnings: bool = True) -> list[str]:
+        """Return the answer in lines of text, with or without warnings."""
+        goal, level = self.goal, f"{100 * self.level:g} %"
         lines = [f"{self.test}: {counted(self.readings, 'reading')} to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
         for key, entry in self.keys.items():
             numbers, unit = users_numbers(entry)
             (low, high), (first, last) = numbers["interval"], numbers["before"]
-            estimate = f"{numbers['estimate']:.4g} {unit}".rstrip()
+            estimate = f"{numbers['estimate']:.3g} {unit}".rstrip()
             lines.append(
-                f"  {key}  {estimate} of this specimen  from {low:.4g} to {high:.4g} "
-                f"({share}, +-{entry['percent']:.2g} %; before the test {first:.4g} to "
-                f"{last:.4g})"
+                f"  {key}  {estimate} of this specimen  from {low:.3g} to {high:.3g} ({level}, "
+                f"+-{entry['percent']:.2g} %; before the test {first:.3g} to {last:.3g})"
             )
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
         lines.append(f"  {goal.key} to +-{goal.percent:g} %: {self.left}{expected}")
@@ -141,39 +126,21 @@ class Answer:
                 for law, (before, now) in self.laws.items()
             ]
             lines.append(f"  probability of laws: {', '.join(shares)}")
-        return [*lines, *(f"warning: {words}" for words in self.warnings)]
+        return [*lines, *(f"warning: {words}" for words in self.warnings if warnings)]
 
     def _at(self, time: float) -> str:
         return time_words(time, self.end)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of follow.json."""
-        content = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        depth, when = (None, None) if self.depth is None else self.depth
-        return {
-            **content,
-            "goal": asdict(self.goal),
-            "depth": None if when is None else {"depth": depth, **when._asdict()},
-            "alarm": None if self.alarm is None else asdict(self.alarm),
-            "trace": self.trace.tolist(),
+        depth = self.depth and {"depth": self.depth[0], **self.depth[1]._asdict()}
+        return asdict(self) | {
+            "goal": self.goal._asdict(), "alarm": self.alarm and self.alarm._asdict(),
+            "depth": depth, "trace": self.trace.tolist(), "summary": self.lines(),
             "law_trace": self.law_trace.tolist() if self.laws else [],
-            "summary": self.lines(),
-        }
+        }  # fmt: skip
 
-    def _of_laws(self, unit: str, seconds: float) -> Panel:
-        """Return the panel of the probabilities of laws over time."""
-        time, shares = self.law_trace[:, 0], (100.0 * self.law_trace[:, 1:].T).round(1)
-        return Panel(
-            Axis(f"time ({unit})"), Axis("probability of the law (%)", (-3.0, 103.0)),
-            "laws, by the readings until then",
-            curves=[
-                Curve(time / seconds, share, law, COLOURS[i % len(COLOURS)], i // len(COLOURS),
-                      marked=True)
-                for i, (law, share) in enumerate(zip(self.laws, shares, strict=True))
-            ],
-        )  # fmt: skip
-
-    def page(self, record: Panel | None, command: str, versions: Mapping[str, str]) -> Page:
+    def page(self, record: Panel | None, command: str, versions: Mapping[str, str]) -> blocks.Page:
         """Return the page, which a browser loads anew while the test runs.
 
         Parameters
@@ -182,36 +149,50 @@ class Answer:
         """
         unit, seconds = time_unit(self.end)
         goal, key, warnings = self.goal, self.keys[self.goal.key], self.warnings
+        axis = Axis(f"time ({unit})")
         numbers, unit_of_key = users_numbers(key)
-        time = self.trace[:, 0]
+        time = self.trace[:, 0] / seconds
         low, median, high = self.trace[:, 1:].T / numbers["scale"]
         of_key = Panel(
-            Axis(f"time ({unit})"), Axis(f"{goal.key} ({in_signs(unit_of_key or '1')})"),
+            axis, Axis(f"{goal.key} ({in_signs(unit_of_key or '1')})"),
             "by the readings until then",
-            curves=[Curve(time / seconds, median, "median", COLOURS[1], marked=True)],
-            bands=[Band(time / seconds, low, high, f"{100 * self.level:g} %", ("low", "high"))],
+            curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
+            bands=[Band(time, low, high, f"{100 * self.level:g} %", ("low", "high"))],
         )  # fmt: skip
-        tiles = [
-            Tile(goal.key, f"{numbers['estimate']:.4g}", in_signs(unit_of_key),
-                 with_signs(f"+-{key['percent']:.2g} %")),
-            Tile(with_signs(f"to +-{goal.percent:g} %"), self.left),
-            Tile("readings", "as expected" if self.alarm is None else "alarm",
-                 note=f"{self.readings} to {self._at(self.time)}", good=self.alarm is None),
-        ]  # fmt: skip
-        lines = [with_signs(line) for line in self.lines() if not line.startswith("warning: ")]
-        charts = [Chart("key", of_key, f"{goal.key} and its interval over the time of the test")]
+        words = f"{goal.key} and its interval over the time of the test"
+        charts = [blocks.Chart("key", of_key, words)]
         if self.laws:
+            time, shares = self.law_trace[:, 0] / seconds, 100.0 * self.law_trace[:, 1:].T
+            curves = [
+                Curve(time, share.round(1), law, COLOURS[i % len(COLOURS)], i // len(COLOURS),
+                      marked=True)
+                for i, (law, share) in enumerate(zip(self.laws, shares, strict=True))
+            ]  # fmt: skip
+            of_laws = Axis("probability of the law (%)", (-3.0, 103.0))
+            panel = Panel(axis, of_laws, "laws, by the readings until then", curves=curves)
             words = "Probability of each law over the time of the test"
-            charts.append(Chart("laws", self._of_laws(unit, seconds), words))
+            charts.append(blocks.Chart("laws", panel, words))
         if record is not None:
-            charts.append(Chart("record", record, "Readings, and histories of this specimen"))
-        sections = [
-            Section("Summary", [Tiles(tiles), Lines(lines),
-                                *([Lines(warnings, warning=True)] * bool(warnings))]),
-            Section("Over time", [Charts(charts)]),
-            Section("How to reproduce", [Source("Command", command), software(dict(versions))]),
+            words = "Readings, and histories of this specimen"
+            charts.append(blocks.Chart("record", record, words))
+        tiles = [
+            blocks.Tile(goal.key, f"{numbers['estimate']:.3g}", in_signs(unit_of_key),
+                        with_signs(f"+-{key['percent']:.2g} %")),
+            blocks.Tile(with_signs(f"to +-{goal.percent:g} %"), self.left),
+            blocks.Tile("readings", "as expected" if self.alarm is None else "alarm",
+                        note=f"{self.readings} to {self._at(self.time)}", good=self.alarm is None),
         ]  # fmt: skip
-        return Page("Running test", self.test, sections, refresh=0 if self.ended else _REFRESH)
+        lines = blocks.Lines([with_signs(line) for line in self.lines(warnings=False)])
+        summary: list[blocks.Lines | blocks.Tiles] = [blocks.Tiles(tiles), lines]
+        summary += [blocks.Lines(warnings, warning=True)] * bool(warnings)
+        source, software = blocks.Source("Command", command), blocks.software(dict(versions))
+        sections = [
+            blocks.Section("Summary", summary),
+            blocks.Section("Over time", [blocks.Charts(charts)]),
+            blocks.Section("How to reproduce", [source, software]),
+        ]
+        refresh = 0 if self.ended else _REFRESH
+        return blocks.Page("Running test", self.test, sections, refresh=refresh)
 
 
 def probability_words(probability: float) -> str:

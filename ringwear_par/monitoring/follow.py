@@ -1,35 +1,43 @@
 """``ringwear follow``: what the readings of a running test say of its specimen, as they come."""
 
+import json
 import logging
 import re
 import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible, reason_of
-from ringwear_par.files.folders import FOLLOW, check_folder
-from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.model.histories import Histories
-from ringwear_par.identification.model.rounds import Rounds, StoppedError
-from ringwear_par.monitoring.answer_files import PAGE, AnswerFiles
-from ringwear_par.monitoring.bank import Bank
-from ringwear_par.monitoring.histories import planned
-from ringwear_par.monitoring.prior_knowledge import FollowedTest, followed_test
-from ringwear_par.monitoring.running_state import RunningTestState, Targets
+from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
+from ringwear_par.files.text import read_text
+from ringwear_par.identification.definition.problem import Problem, ProcessNoise
+from ringwear_par.identification.draws import NEXT
+from ringwear_par.identification.fit import fit_problem
+from ringwear_par.identification.histories import Readings, StoppedError
+from ringwear_par.monitoring.answer import Answer
+from ringwear_par.monitoring.follower import Follower
+from ringwear_par.monitoring.monitor import Monitor, Targets
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.draws import NEXT
+from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
 from ringwear_par.prediction.prediction import read_depth
+from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 
-#: s between two looks at the files
-_LOOK = 0.2
+#: page of a running test
+PAGE = "follow.html"
+#: s between two looks at the files; between two pages, and two answers that are printed
+_LOOK, _PAUSE = 0.2, 5.0
 #: fewest draws
 _FEWEST = 2000
 
@@ -43,7 +51,7 @@ def run_follow(
     test: str | None = None,
     to: str = "10%",
     depth: str | None = None,
-    draws: int = 10_000,
+    draws: int = 100_000,
     seed: int = 0,
     once: bool = False,
 ) -> None:
@@ -60,7 +68,7 @@ def run_follow(
 
     Raises
     ------
-    InputError : the file, the folder, or a fit that knows neither scatter nor random wear.
+    InputError : the file, the folder, or a fit of other keys.
     ComputationError : the histories.
     """
 
@@ -83,36 +91,34 @@ def run_follow(
         return running, percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
-    followed = followed_test(running, after, comm)
-    problem, name = followed.problem, legible(running.name)
+    fit: Any = after
+    if after is None:
+        others = on_first_rank(comm, running.other_tests)
+        fit = fit_problem(others, comm)
+    followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
-    command = ["ringwear", "follow", str(source), "-o", str(folder), *words]
-    files = AnswerFiles(folder, shlex.join(command))
+    command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])
+    files = _Files(folder, command)
     with StopSignals() as signals:
-        rounds = Rounds(planned(problem), comm, signals)
+        readings = Readings(followed.problem, comm, signals)
 
         def lead() -> None:
-            rounds.tell(f"{draws} draws of {name}")
-            specimen, values = followed.specimen, followed.known.values
-            whom = specimen if specimen == NEXT else f"specimen {legible(specimen)}"
+            known, problem, of = followed.known, followed.problem, followed.specimen
+            readings.tell(f"histories of {legible(running.name)}")
+            followers = {"": Follower(known.draws, of, problem, readings, draws, seed)}
+            for law, other in problem.alternatives.items():  # by this rank alone
+                alone = Readings(other, MPI.COMM_SELF, signals)
+                followers[law] = Follower(known.laws[law], of, other, alone, draws, seed)
+            of_laws = {"": known.draws, **known.laws} if problem.alternatives else {}
+            evidences = {law: of_laws[law].log_evidence for law in followers if law in of_laws}
+            whom = of if of == NEXT else f"specimen {legible(of)}"
             targets = Targets(_key_of(problem), percent, mm)
-
-            def new_bank(law: str) -> Bank:
-                if not law:
-                    return Bank(values, specimen, problem, rounds, draws, seed)
-                other = problem.alternatives[law]
-                histories = Histories(planned(other), MPI.COMM_SELF)  # by this rank alone
-                law_values = followed.known.laws[law].values
-                return Bank(law_values, specimen, other, histories, draws, seed)
-
-            state = RunningTestState(
-                new_bank, followed.log_evidences, targets, whom, followed.doubts
-            )
-            _follow(followed, state, files, once, lambda: bool(signals.received))
+            monitor = Monitor(followers, known.draws, evidences, targets, whom, followed.doubts)
+            _loop(followed, monitor, files, once, lambda: bool(signals.received))
 
         try:
-            rounds.lead(lead)
+            readings.lead(lead)
         except StoppedError:
             if on_first_rank(comm, lambda: files.answer is None):
                 raise
@@ -120,10 +126,99 @@ def run_follow(
         print(files.closing_words())
 
 
-def _follow(
-    followed: FollowedTest,
-    state: RunningTestState,
-    files: AnswerFiles,
+class _Followed(NamedTuple):
+    """A test that is followed, with what is known before it."""
+
+    running: RunningTest
+    #: of it alone, with the random wear that the fit knows, under all laws that are compared
+    problem: Problem
+    known: FitKnowledge
+    #: the next specimen, or one of the fit's
+    specimen: str
+    doubts: tuple[str, ...]
+
+    def read(self) -> Problem:
+        """Return the problem with the readings so far.
+
+        Raises
+        ------
+        InputError : its faults; the file has other keys or another case than at the beginning.
+        """
+        problem, before = self.running.read(), self.problem
+        same = _content(problem) == _content(before)
+        laws = {law: problem.alternatives.get(law, problem) for law in before.alternatives}
+        if not same or any(
+            _content(laws[n]) != _content(law) for n, law in before.alternatives.items()
+        ):
+            raise InputError(
+                f"{self.running.source}: fit.parameters, compare or the case of "
+                f"{legible(self.running.name)} changed; must stay while it is followed"
+            )
+        process = before.settings.process
+        return _with_process(replace(problem, alternatives=laws), process)
+
+
+def _content(problem: Problem) -> tuple[Any, str]:
+    """Return what of a problem of one test must stay: its keys, and its case but for inputs."""
+    (test,) = problem.experiments
+    case = test.case.replace({entry.key: 1.0 for entry in test.inputs})
+    return problem.parameters, case.text
+
+
+def _with_process(problem: Problem, process: Mapping[str, ProcessNoise]) -> Problem:
+    """Return a problem with random wear, under all its laws."""
+    settings = replace(problem.settings, process=process)
+    laws = {n: replace(law, settings=settings) for n, law in problem.alternatives.items()}
+    return replace(problem, settings=settings, alternatives=laws)
+
+
+def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> _Followed:
+    """Return a test with what a fit knows before it, or raise InputError. On one rank."""
+    problem, place = running.read(), f"{running.source}: {legible(running.name)}"
+    if after and running.name in json.loads(read_text(after / FIT)).get("experiments", {}):
+        raise InputError(
+            f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
+            "must be followed after a fit without it"
+        )
+    (experiment,), asked = problem.experiments, problem.alternatives
+    specimen = experiment.groups[0] or experiment.name
+    specimen = specimen if specimen in known.draws.specimens else NEXT
+    laws = {law: asked[law] for law in known.laws if law in asked}
+    if known.laws and (unknown := [law for law in asked if law not in laws]):
+        raise InputError(
+            f"{running.source}: compare.{legible(unknown[0])}: was not compared by {known.name}; "
+            f"must be {' or '.join(map(legible, known.laws))}, as there, or absent"
+        )
+    doubts = [doubt.text for doubt in doubts_of(known, experiment.case, specimen)]
+    doubts += [
+        f"law {legible(law)} is not compared: {running.source} has no compare.{legible(law)}"
+        for law in known.laws if law not in asked
+    ]  # fmt: skip
+    doubts += [
+        f"law {legible(law)} is not compared: {known.name} has no draws of it"
+        for law in asked if not known.laws
+    ]  # fmt: skip
+    if problem.settings.loss != "gaussian" and laws:
+        laws = {}
+        doubts.append(f'laws are not compared: loss = "{problem.settings.loss}" has no evidence')
+    pairs = [(problem, known.draws), *((law, known.laws[name]) for name, law in laws.items())]
+    for of_law, draws in pairs:
+        if of_law.keys != draws.keys:
+            raise InputError(
+                f"{of_law.name}: fits {', '.join(of_law.keys)}; must be {', '.join(draws.keys)}, "
+                f"as {known.name}"
+            )
+        check_predicted(draws, of_law.experiments[0].case, of_law.name, specimen)
+    sizes = zip(BODIES, known.draws.process.T, strict=True)
+    process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
+    problem = _with_process(replace(problem, alternatives=laws), process)
+    return _Followed(running, problem, known, specimen, tuple(doubts))
+
+
+def _loop(
+    followed: _Followed,
+    monitor: Monitor,
+    files: "_Files",
     once: bool,
     stopped: Callable[[], bool],
 ) -> None:
@@ -141,9 +236,9 @@ def _follow(
                     log.warning("%s; the last answer stays until that changes", reason)
                 warned = reason
             else:
-                answer = state.answer(problem)
+                answer = monitor.answer(problem)
                 ended = once or answer.ended
-                files.write(answer, state, problem, last=ended)
+                files.write(answer, monitor, last=ended)
                 if ended:
                     return
                 if not waiting:
@@ -152,6 +247,48 @@ def _follow(
                     log.info("waiting for readings up to %g s, the end of the test", end)
         time.sleep(_LOOK)
     files.write_page()
+
+
+class _Files:
+    """The last answer and its page, written anew as readings come. On one rank."""
+
+    def __init__(self, folder: Path, command: str) -> None:
+        self._folder, self._command = folder, command
+        self.answer: Answer | None = None
+        self._monitor: Monitor | None = None
+        self._paged, self._printed, self._alarmed, self._has_page = -_PAUSE, -_PAUSE, False, True
+
+    def write(self, answer: Answer, monitor: Monitor, *, last: bool) -> None:
+        """Write an answer, its page now and then and at last, and say it; or ComputationError."""
+        self.answer, self._monitor = answer, monitor
+        content = {**answer.to_dict(), "versions": versions()}
+        write_outcome(self._folder, "follow", {FOLLOW: lambda: json_bytes(content)})
+        now = time.monotonic()
+        if last or now - self._paged > _PAUSE:
+            self.write_page()
+        alarm = answer.alarm is not None and not self._alarmed
+        if not last and (alarm or now - self._printed > _PAUSE):
+            print("\n".join(answer.lines(warnings=alarm)), flush=True)
+            self._printed, self._alarmed = now, self._alarmed or alarm
+
+    def write_page(self) -> None:
+        """Write the page of the last answer; without bokeh there is none."""
+        if self.answer is None or self._monitor is None or not self._has_page:
+            return
+        self._paged, path = time.monotonic(), self._folder / PAGE
+        try:
+            check_page(path)
+        except InputError as error:
+            self._has_page = False
+            log.warning("%s", error)
+            return
+        write_page(self.answer.page(self._monitor.record(), self._command, versions()), path)
+
+    def closing_words(self) -> str:
+        """Return the last answer in words, and the names of its files."""
+        assert self.answer is not None
+        names = [self._folder / name for name in (FOLLOW, PAGE)[: 1 + self._has_page]]
+        return "\n".join([*self.answer.lines(), f"written: {', '.join(map(str, names))}"])
 
 
 def _key_of(problem: Problem) -> int:

@@ -1,181 +1,175 @@
-"""Histories of a specimen at many draws of the fitted keys, as few modes.
+"""Histories of a running test as polynomials of its keys, and its readings from them.
 
-Some of the draws are stepped side by side to the end of the test. What is read of them between two
-steps is linear in their values at steps, and these differ by a few modes, whose coordinates are
-smooth in the keys: polynomials tell those of all other draws. Where they do not, as where layers
-are worn through, all draws are stepped.
+Polynomials tell a history at the ends of steps; readings, whenever they come, lie between these.
 """
 
-import itertools
-import logging
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import ComputationError, legible
-from ringwear_par.identification.definition.problem import (
-    BASE,
-    Experiment,
-    Problem,
-    Series,
-    body_of_wear,
-)
-from ringwear_par.identification.definition.reading_kinds import Trajectory
-from ringwear_par.identification.model.histories import Histories, HistoryError, step_times
-from ringwear_par.identification.model.readings import Reader
+from ringwear_par.errors import ComputationError
+from ringwear_par.identification.definition.problem import Experiment, Problem, Series
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS, Trajectory
+from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
+from ringwear_par.identification.histories import Readings, step_times
+from ringwear_par.identification.likelihood import Setting
+from ringwear_par.identification.readings import TimeInterpolation
+from ringwear_par.identification.setting import needs_middle, settings_at
 
-log = logging.getLogger(__name__)
-
-#: draws that are stepped for polynomials, and of these those that test them
-_STEPPED, _TESTS = 1000, 100
-#: of the spread of the draws, by which polynomials may be off (root of the mean square)
-_CLOSE = 1e-4
-#: most terms of the polynomials, and their highest degree
-_TERMS, _DEGREE = 150, 12
-#: of the largest singular value: modes below it are round-off
-_SMALL = 1e-6
-#: of the draws that are stepped, most without a history
-_MOST_FAILED = 0.1
+#: histories that polynomials are made of by the number of fitted keys, and most of them
+_HISTORIES, _MOST_HISTORIES = {1: 64, 2: 192, 3: 320}, 448
+#: draws that a box is about, and its margin
+_BOXED, _MARGIN = 10_000, 0.1
+#: scale of a quantity over its spread, and error of polynomials in it that is small enough
+_SCALE, _CLOSE = 1e-3, 0.03
+#: share of random wear where clocks are found, which hardly depend on it
+_SHARE = 0.05
 
 
-def planned(problem: Problem) -> Problem:
-    """Return a problem of one test whose readings are all of a history, at the ends of steps."""
-    (test,) = problem.experiments
-    case = test.case
-    times = np.append(0.0, step_times(test))
-    quantities: list[str] = ["approach", "torque", "volume.lower", "volume.upper"]
-    layered = (bool(ring.layers) and None not in ring.densities for ring in case.rings)
-    masses: list[str] = ["mass.lower", "mass.upper"]
-    quantities += itertools.compress(masses, layered)
-    series = [
-        Series(q, q, times, np.zeros(len(times)), np.ones(len(times)),
-               unit=BASE[q.partition(".")[0]], density=None if q in masses else 1.0)
-        for q in quantities
-    ]  # fmt: skip
-    return replace(problem, experiments=(replace(test, series=tuple(series)),))
+def times_of(test: Experiment) -> FloatArray:
+    """Return the times (n,) s of all readings of a test."""
+    return np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
 
 
-class SpecimenHistories:
-    """Histories of one test at any values of the fitted keys.
+def part_of(test: Experiment, rows: BoolArray) -> Experiment:
+    """Return a test with some of its readings (n,), without series that their nuisances explain."""
+    masks = np.split(rows, _ends(test))
+    parts = [s.part(mask) for s, mask in zip(test.series, masks, strict=True)]
+    told = (s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None))
+    return replace(test, series=tuple(told))
 
-    On the first rank, within ``Rounds.lead`` where all ranks share them.
 
-    Parameters
-    ----------
-    problem : of the one test, whose keys are drawn.
-    rounds : computes histories of its ``planned`` test.
-    """
+@dataclass(frozen=True, eq=False)
+class Histories:
+    """Histories of a test at unknowns of its keys, from which its readings are taken."""
 
-    def __init__(self, problem: Problem, rounds: Histories) -> None:
-        self._problem, self._rounds = problem, rounds
-        (self._test,) = planned(problem).experiments
-        self.time = self._test.series[0].x
-        #: rms error of polynomials over the spread of the draws; None: all draws are stepped
-        self.error: float | None = None
-        #: values of the keys of the last history with derivatives, and its readings
-        self._last: tuple[FloatArray, FloatArray] | None = None
+    #: its approach, torque, volumes and masses at the ends of steps; profiles and times at which
+    #: layers are worn through, as they are read
+    plan: Experiment
+    #: of the readings of the plan
+    emulator: Emulator
+    #: how these follow random wear and the calibration of measured inputs
+    setting: Setting
+    #: (1 + r,) 1 and the coordinates of the history at the middle of the draws
+    middle: FloatArray
 
-    def prepare(self, unknowns: FloatArray) -> None:
-        """Find modes and polynomials from the first of some draws, (draws, m)."""
-        log.info(
-            "computing %d histories of %s", min(len(unknowns), _STEPPED),
-            legible(self._test.name),
+    @classmethod
+    def of(cls, readings: Readings, problem: Problem, x: FloatArray) -> "Histories":
+        """Return the histories of a problem of one test at draws (s, m). On the first rank.
+
+        Raises
+        ------
+        ComputationError : hardly any draw has a history.
+        """
+        (test,), bodies = problem.experiments, len(problem.settings.process)
+        plan, middle = _plan(test), np.median(x, axis=0)
+        readings.problem = problem.with_experiments((plan,))
+        settings = [Setting.before(plan, "", bodies)]
+        if needs_middle(readings.problem):
+            shares = np.full(bodies, _SHARE)
+            settings = settings_at(readings, settings, middle[None], shares, first=True)
+        box = Box.about(x[:_BOXED], *problem.unknown_bounds, _MARGIN)
+        count = _HISTORIES.get(x.shape[1], _MOST_HISTORIES)
+        points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
+        points = points[box.holds(points)]
+        (y,) = readings([(0, points)])
+        good = np.isfinite(y).all(axis=1)
+        if good.sum() < 2 * x.shape[1] + 2:
+            reason = f"hardly any draw has a history: {readings.reason}"
+            raise ComputationError(f"{problem.name}: {reason}")
+        spreads = np.split(y[good].std(axis=0), _ends(plan))
+        sd = np.concatenate([np.full(len(s), s.max() or 1.0) for s in spreads])
+        root = np.linalg.cholesky(np.atleast_2d(np.cov(x.T)))
+        distance = np.linalg.norm(np.linalg.solve(root, (points[good] - middle).T), axis=0)
+        emulator, _ = emulate(box, points, y, _SCALE * sd, nearness(distance), _CLOSE)
+        return cls(plan, emulator, settings[0], np.append(1.0, emulator.coordinates(middle[None])))
+
+    @property
+    def error(self) -> float:
+        """Largest rms error of a quantity, over its spread among the draws."""
+        return _SCALE * self.emulator.error
+
+    @property
+    def time(self) -> FloatArray:
+        """(steps,) s, ends of steps, the start included."""
+        return self.plan.series[0].x
+
+    def suits(self, test: Experiment) -> bool:
+        """Tell whether they have all that is read of a test, but for its case."""
+        fixed = {s.name: s for s in self.plan.series}
+        return all(
+            s.name in fixed and s.at == fixed[s.name].at and np.array_equal(s.x, fixed[s.name].x)
+            for s in test.series if READING_KINDS[s.kind].values is None
         )  # fmt: skip
-        stepped = self._stepped(unknowns[:_STEPPED])
-        good = np.isfinite(stepped).all(axis=1)
-        if np.count_nonzero(~good) > _MOST_FAILED * len(stepped):
-            raise ComputationError(
-                f"{self._problem.name}: {np.count_nonzero(~good)} of {len(stepped)} draws have no "
-                "history"
-            )
-        stepped, at = stepped[good], unknowns[:_STEPPED][good]
-        self._mean = stepped.mean(axis=0)
-        spread = (stepped - self._mean).reshape(len(stepped), -1, len(self.time)).std(axis=(0, 2))
-        scale = np.repeat(np.where(spread > 0.0, spread, 1.0), len(self.time))
-        left, values, modes = np.linalg.svd((stepped - self._mean) / scale, full_matrices=False)
-        large = values > _SMALL * values[0]
-        self._modes, self._inverse = modes[large] * scale, modes[large].T / scale[:, None]
-        self._low, self._high = unknowns.min(axis=0), unknowns.max(axis=0)
-        coordinates, learned = left[:, large] * values[large], len(stepped) - _TESTS
-        terms = self._terms(at)
-        if learned < terms.shape[1]:
-            self.error = None
-            return
-        self._polynomials = np.linalg.lstsq(terms[:learned], coordinates[:learned], rcond=None)[0]
-        off = terms[learned:] @ self._polynomials - coordinates[learned:]
-        self.error = float(np.sqrt((off**2).sum() / _TESTS / (values**2).sum() * len(stepped)))
-        if self.error > _CLOSE:
-            self.error = None
 
-    def coordinates(self, unknowns: FloatArray) -> FloatArray:
-        """Return the coordinates (draws, modes) of histories; NaN where there is none."""
-        if self.error is None:
-            return (self._stepped(unknowns) - self._mean) @ self._inverse
-        inside = ((unknowns >= self._low) & (unknowns <= self._high)).all(axis=1)
-        coordinates = self._terms(unknowns) @ self._polynomials
-        coordinates[~inside] = np.nan
-        return coordinates
+    def at_steps(self, quantity: str) -> FloatArray:
+        """Return (steps, 1 + r) a quantity by 1 and the coordinates; "depth" is mean, in mm."""
+        volume = quantity.replace("depth", "volume")
+        part = self._parts(_columns(self.emulator))[f"all {volume}"]
+        return part if volume == quantity else part / self.plan.case.area
 
-    def modes(self) -> Trajectory:
-        """Return the mean of the histories and, as its derivatives, the modes."""
-        return self._trajectory(np.column_stack([self._mean, self._modes.T]))
+    def _parts(self, columns: FloatArray) -> dict[str, FloatArray]:
+        """Return readings (n, ...) of the plan by the names of its series."""
+        names = [series.name for series in self.plan.series]
+        return dict(zip(names, np.split(columns, _ends(self.plan)), strict=True))
 
-    def at(self, unknowns: FloatArray, test: Experiment) -> FloatArray:
-        """Return the readings of a test at unknowns (m,), as ``Histories.read`` has them."""
-        problem, values = self._problem, self._problem.values(unknowns)
-        if self._last is None or not np.array_equal(self._last[0], values):
-            read = self._rounds.read(values[None], [(0, 0)])[0]
-            if isinstance(read, HistoryError):
-                raise read
-            self._last = values, read
-        read = self._last[1]
-        clocks = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
-        columns = read[:, : 1 + len(values) + len(clocks)]
-        return Reader(test, clocks).read(self._trajectory(columns))
-
-    def _stepped(self, unknowns: FloatArray) -> FloatArray:
-        """Return all readings (draws, n) of the planned test; NaN where there is no history."""
-        values = np.array([self._problem.values(u) for u in unknowns])
-        pairs = [(i, 0) for i in range(len(values))]
-        rows = self._rounds.read(values, pairs, derivatives=False)
-        lost = np.full(self._test.n, np.nan)
-        return np.array([lost if isinstance(row, HistoryError) else row[:, 0] for row in rows])
-
-    def _terms(self, unknowns: FloatArray) -> FloatArray:
-        """Return the terms (draws, terms) of polynomials of the unknowns."""
-        m, width = unknowns.shape[1], self._high - self._low
-        at = 2.0 * (unknowns - self._low) / np.where(width > 0.0, width, 1.0) - 1.0
-        degree = max(
-            (d for d in range(_DEGREE + 1) if len(_degrees(m, d)) <= _TERMS), default=0
-        )  # fmt: skip
-        of_keys = [chebvander(column, degree) for column in at.T]
-        terms = np.ones((len(at), len(_degrees(m, degree))))
-        for key, powers in enumerate(_degrees(m, degree).T):
-            terms *= of_keys[key][:, powers]
-        return terms
-
-    def _trajectory(self, columns: FloatArray) -> Trajectory:
-        """Return the trajectory of columns (n, q) of readings of the planned test."""
-        parts = np.split(columns, len(self._test.series))
-        fields: dict[str, FloatArray] = {
-            s.name: p for s, p in zip(self._test.series, parts, strict=True)
-        }
-        unknown = np.full((len(self.time), columns.shape[1]), np.nan)
+    def read(self, columns: FloatArray, test: Experiment) -> FloatArray:
+        """Return the readings (n, ...) of a test by those of the plan."""
+        parts, nothing = self._parts(columns), np.full((len(self.time), *columns.shape[1:]), np.nan)
         volume, mass = (
-            np.stack([fields.get(f"{quantity}.{body}", unknown) for body in BODIES])
+            np.stack([parts.get(f"all {quantity}.{body}", nothing) for body in BODIES])
             for quantity in ("volume", "mass")
         )
-        no_profile = np.zeros((2, len(self.time), 0, columns.shape[1]))
-        return Trajectory(self.time, fields["approach"], fields["torque"], volume, no_profile,
-                          mass, unknown[:2])  # fmt: skip
+        history = Trajectory(
+            self.time, parts["all approach"], parts["all torque"], volume, nothing, mass, nothing
+        )
+        breaks, found = (0.0, *test.case.breakpoints, test.case.time.end), []
+        for series in test.series:
+            values = READING_KINDS[series.kind].values
+            if values is None:
+                found.append(parts[series.name])
+            else:
+                between = TimeInterpolation(self.time, series.x, breaks)
+                found.append(between(values(history, BODIES.index(series.body), series.density)))
+        return np.concatenate(found)
+
+    def emulator_of(self, test: Experiment) -> Emulator:
+        """Return the emulator of the readings of a test."""
+        both = self.read(_columns(self.emulator), test)
+        return replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
+
+    def setting_of(self, test: Experiment, loss: str) -> Setting:
+        """Return the setting of a test before its readings are looked at."""
+        clocks = []
+        for felt, share in self.setting.clocks:
+            depth = np.interp(times_of(test), self.time, share[: len(self.time)])
+            answer = self.read(felt * share, test)
+            slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
+            clocks.append((slope, depth))
+        scales = tuple(self.read(scale, test) for scale in self.setting.scales)
+        before = Setting.before(test, loss, len(clocks))
+        return replace(before, clocks=tuple(clocks), scales=scales)
 
 
-@cache
-def _degrees(keys: int, degree: int) -> FloatArray:
-    """Return the degrees (terms, keys) in each key of all terms up to a degree."""
-    every = itertools.product(range(degree + 1), repeat=keys)
-    return np.array([powers for powers in every if sum(powers) <= degree])
+def _plan(test: Experiment) -> Experiment:
+    """Return a test whose readings are all of a history that others are taken from."""
+    times = np.append(0.0, step_times(test))
+    quantities = ["approach", "torque", *(f"volume.{body}" for body in BODIES)]
+    for body, ring in zip(BODIES, test.case.rings, strict=True):
+        quantities += [f"mass.{body}"] * (bool(ring.layers) and None not in ring.densities)
+    zero, one = np.zeros(len(times)), np.ones(len(times))
+    series = [Series(f"all {q}", q, times, zero, one, density=None) for q in quantities]
+    fixed = [s for s in test.series if READING_KINDS[s.kind].values is None]
+    return replace(test, series=(*series, *fixed))
+
+
+def _ends(test: Experiment) -> IntArray:
+    """Return where series of a test end and others begin."""
+    return np.cumsum([series.n for series in test.series])[:-1]
+
+
+def _columns(emulator: Emulator) -> FloatArray:
+    """Return readings (n, 1 + r) by 1 and the coordinates."""
+    return np.column_stack([emulator.mean, emulator.modes.T])

@@ -1,172 +1,165 @@
-"""When readings to come tell enough, when a depth is reached, and whether readings fit in."""
+"""Whether readings are as expected, when they will tell enough, and when a depth is reached."""
 
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2, norm
+from scipy.linalg import block_diag
+from scipy.special import fdtrc, logsumexp
+from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
-from ringwear_par.identification.scatter.likelihood import LinearisedTest, uncorrelated
-from ringwear_par.identification.scatter.linearisation import projected_precision
-from ringwear_par.monitoring.bank import Bank, rows_of
+from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
+from ringwear_par.identification.likelihood import TestLikelihood
+from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.monitoring.histories import part_of, times_of
 from ringwear_par.prediction.prediction import times_at
 
-#: most readings of a record that are planned to the end, and times at which intervals are looked at
+#: draws by which readings are predicted, and for the time to a depth
+_PREDICTED, _DRAWS = 1000, 2000
+#: most readings of a record that are planned to the end; times that a goal may be reached at
 _PLANNED, _TIMES = 300, 60
-#: over what readings say: nothing is known of a free nuisance before
-_VAGUE = 1e-8
-#: draws for the time to a depth, and their seed
-_DRAWS, _SEED = 2000, 1
 
 
-def times_of(problem: Problem) -> FloatArray:
-    """Return the times (n,) s of all readings of a running test."""
-    return np.concatenate([series.x for series in problem.experiments[0].series])
-
-
-def surprise(
-    bank: Bank, test: LinearisedTest, weights: FloatArray, old: BoolArray, new: BoolArray
-) -> float:
+def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArray) -> float:
     """Return how probable it is that new readings are so far from what old ones lead to expect.
+
+    By mean and covariance of the new readings over draws and growth times, nuisances and random
+    wear integrated out; limits apart.
 
     Parameters
     ----------
-    weights : (draws,) by the old readings; old, new : (n,) which they are.
+    found : by the old readings.
+    test : whose readings (n,) are new or old.
     """
-    covariance = np.eye(len(test.readings))
-    for size, kernel in zip(bank.sizes(weights), test.process, strict=True):
-        covariance += size * kernel
-    columns = test.nuisances
-    known = test.prior_rows.T @ test.prior_rows + _VAGUE * np.diag(
-        (columns**2).sum(axis=0) + _VAGUE
-    )
-    expected = np.linalg.solve(known, test.prior_rows.T @ test.prior_values)
-    covariance += columns @ np.linalg.solve(known, columns.T)
-    has_history = np.isfinite(bank.draws.coordinates).all(axis=1)
-    coordinates, share = bank.draws.coordinates[has_history], weights[has_history]
-    mean = share @ coordinates
-    spread = (share[:, None] * (coordinates - mean)).T @ (coordinates - mean)
-    rest = test.readings - test.jacobian @ mean - columns @ expected
-    gain = cho_solve(
-        cho_factor(covariance[np.ix_(old, old)], lower=True), covariance[np.ix_(old, new)]
-    )
-    jacobian = test.jacobian[new] - gain.T @ test.jacobian[old]
-    variance = covariance[np.ix_(new, new)] - covariance[np.ix_(new, old)] @ gain
-    variance += jacobian @ spread @ jacobian.T
-    off = rest[new] - gain.T @ rest[old]
-    return float(chi2.sf(off @ np.linalg.solve(variance, off), len(off)))
+    assert found.likelihood is not None
+    random, v = np.random.default_rng(0), found.chosen(_PREDICTED)
+    old, emulator = found.likelihood.likelihood, found.likelihood.emulator
+    by_node = old.by_node(v @ np.vstack([emulator.mean, emulator.modes]))
+    growing = {
+        old.test.series[i].name: logs
+        for (_, growth), logs in zip(old.noises, by_node, strict=True)
+        for i in growth.series
+    }
+    emulator = follower.histories.emulator_of(test)
+    likelihood = TestLikelihood(test, follower.setting_like(found, test), found.shares)
+    new = new & ~np.isin(np.arange(test.n), likelihood.limits)
+    off, spread, freedom = [], [], np.inf
+    for part, (noise, growth) in zip(likelihood.parts, likelihood.noises, strict=True):
+        here = new[noise.rows]
+        data = noise.data(likelihood.data[noise.rows]) - emulator.mean[noise.rows]
+        rows = noise(np.column_stack([data, -emulator.modes[:, noise.rows].T]))
+        units = noise(np.eye(len(here))[:, here])
+        taken = growth.directions(rows, np.eye(1, rows.shape[1])[0])
+        by_units = growth.directions(units, np.zeros(units.shape[1]))
+        precision = units.T @ units - np.einsum("kgi,kgj->kij", by_units, by_units)
+        pull = units.T @ rows - np.einsum("kgi,kgj->kij", by_units, taken)
+        covariance = np.linalg.pinv(precision, hermitian=True)
+        names = [test.series[i].name for i in growth.series]
+        logs = growing.get(names[0] if names else "", growth.log_constants[:, None])
+        chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
+        nodes = np.minimum((chance < random.random(len(v))).sum(axis=0), len(logs) - 1)
+        off.append(np.einsum("sqr,sr->sq", (covariance @ pull)[nodes], v))
+        spread.append(covariance[nodes].mean(axis=0))
+        if here.any() and test.series[part[0]].sd_fitted:
+            freedom = min(freedom, max(noise.freedom - growth.free - here.sum(), 1.0))
+    each = np.concatenate(off, axis=1)
+    if not each.size:
+        return 1.0
+    variance = block_diag(*spread) + np.cov(each.T)
+    mean, rank = each.mean(axis=0), np.linalg.matrix_rank(variance, hermitian=True)
+    square = mean @ np.linalg.pinv(variance, hermitian=True) @ mean
+    known = np.isinf(freedom)
+    return float(chi2.sf(square, rank) if known else fdtrc(rank, freedom, square / rank))
 
 
-def widths(
-    bank: Bank, problem: Problem, weights: FloatArray, key: int, level: float, now: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return times from now to the end, s, and the relative half width of a key's interval there.
+def time_to_goal(
+    follower: Follower, found: Specimen, test: Experiment, key: int, ratio: float, now: float
+) -> tuple[float | None, float]:
+    """Return when the sd of a key is so much less, s, or None; and how much less at the end.
 
-    Records go on at their rate; histories are linearised in the keys.
+    Records go on at their rate; histories are linear in the keys, by regression on the draws.
 
     Parameters
     ----------
     key : its number.
-    now : s, of the last reading that counts.
+    ratio : of the sd that is wished over that by the readings of the test until now, s.
     """
-    (experiment,), end = problem.experiments, problem.experiments[0].case.time.end
-    series = tuple(_to_end(record, end) for record in experiment.series)
-    plan = replace(problem, experiments=(replace(experiment, series=series),))
-    times = times_of(plan)
-    order = np.argsort(times, kind="stable")
-    test = rows_of(bank.linearised(plan)[0], order)
-    slopes = _slopes(bank, weights)
-    alone = uncorrelated(test, bank.sizes(weights))[0]
-    rows, m = np.column_stack([alone.jacobian @ slopes, alone.nuisances]), slopes.shape[1]
-    prior = np.zeros((rows.shape[1], rows.shape[1]))
-    prior[:m, :m] = np.linalg.inv(bank.prior_covariance)
-    prior[m:, m:] = test.prior_rows.T @ test.prior_rows
-    at = np.linspace(now, end, _TIMES)
-    sds = []
-    for time in at:
-        before = rows[: int(np.searchsorted(times[order], time, side="right"))]
-        information = prior + before.T @ before
-        sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
-    half = float(norm.ppf(0.5 + 0.5 * level)) * np.array(sds)
-    if problem.parameters[key].log:
-        return at, np.sinh(half)
-    return at, half / abs(float(weights @ bank.draws.unknowns[:, key]))
+    end, m = test.case.time.end, follower.m
+    planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
+    times, root = times_of(planned), np.sqrt(found.weights)[:, None]
+    x = np.column_stack([found.unknowns[:, :m], np.ones(len(root))])
+    slopes = np.linalg.lstsq(root * x, root * found.coordinates, rcond=None)[0][:-1]
+    by_key = (slopes @ follower.histories.emulator.modes).T
+    known = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
+
+    def sd_at(time: float) -> float:
+        information, part = known, part_of(planned, times <= time * (1.0 + 1e-9))
+        if part.series:
+            likelihood = TestLikelihood(part, follower.setting_like(found, part), found.shares)
+            jacobian = follower.histories.read(by_key, part)
+            for noise, growth in likelihood.noises:
+                white = noise(jacobian[noise.rows])
+                taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
+                information = information + white.T @ white - taken.T @ taken
+        return float(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
+
+    at, first = np.linspace(now, end, _TIMES), sd_at(now)
+    low, high, least = -1, len(at) - 1, sd_at(end) / first
+    if least > ratio:
+        return None, least
+    while high - low > 1:
+        middle = (low + high) // 2
+        reached = sd_at(float(at[middle])) <= ratio * first
+        low, high = (low, middle) if reached else (middle, high)
+    return float(at[high]), least
 
 
 def _to_end(series: Series, end: float) -> Series:
     """Return a record that goes on at its rate to the end of the test; what is read once stays."""
-    if series.n < 2 or series.x[-1] >= end:
+    if series.profile or series.n < 2 or series.censored is not None:
         return series
     apart = float(np.median(np.diff(series.x)))
-    count = min(int(end / apart), _PLANNED)
-    x = end * np.arange(1, count + 1) / max(count, 1)
+    more = np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart)
     # fewer readings stand for all; those of correlated noise tell no more where they are many
-    fewer = 1.0 if series.correlation_time else np.sqrt(apart / (end / max(count, 1)))
-    return replace(
-        series, x=x, value=np.zeros(count), sd=np.full(count, series.sd[-1] * fewer), lines=None
-    )
+    every = max(-(-len(more) // _PLANNED), 1)
+    fewer = 1.0 if series.correlation_time else np.sqrt(every)
+    x = np.append(series.x, more[::-1][::every][::-1])
+    sd = np.append(series.sd, np.full(len(x) - series.n, series.sd[-1] / fewer))
+    return replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None)
 
 
-def _slopes(bank: Bank, weights: FloatArray) -> FloatArray:
-    """Return derivatives (modes, m) of the coordinates of histories with respect to unknowns."""
-    has_history = np.isfinite(bank.draws.coordinates).all(axis=1) & (weights > 0.0)
-    root = np.sqrt(weights[has_history])[:, None]
-    unknowns = bank.draws.unknowns[has_history] - weights @ bank.draws.unknowns
-    columns = np.column_stack([unknowns, np.ones(len(unknowns))])
-    coordinates = bank.draws.coordinates[has_history]
-    solution = np.linalg.lstsq(root * columns, root * coordinates, rcond=None)[0]
-    slopes: FloatArray = solution[:-1].T
-    return slopes
-
-
-def time_to(
-    bank: Bank, problem: Problem, weights: FloatArray, depth: float, counted: BoolArray
-) -> FloatArray:
+def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> FloatArray:
     """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
 
-    Wear that is random goes on from what the readings tell of it.
+    Wear that is random goes on from what the readings tell of it: of the wear so far, the excess
+    over its mean is normal given the readings; later wear is random anew.
 
     Parameters
     ----------
-    counted : (n,) which of the readings do.
+    now : s, of the last reading.
     """
-    random, case = np.random.default_rng(_SEED), problem.experiments[0].case
-    chosen = random.choice(len(weights), _DRAWS, p=weights)
-    coordinates = bank.draws.coordinates[chosen]
-    modes, time = bank.histories.modes(), bank.histories.time
-    approach = modes.approach - modes.approach[0]
-    depths = approach[:, 0] + coordinates @ approach[:, 1:].T
-    if not problem.settings.process:
-        return times_at(time, depths, depth)
-    whole, misfit, x = bank.linearised(problem)
-    test = rows_of(whole, counted)
-    now = float(times_of(problem)[counted].max(initial=0.0))
-    sizes = bank.sizes(weights)
-    precision = projected_precision(test, sizes, np.zeros((coordinates.shape[1],) * 2))
-    n = len(test.readings)
-    rest = np.column_stack([np.tile(test.readings, (_DRAWS, 1)) - coordinates @ test.jacobian.T,
-                            np.tile(test.prior_values, (_DRAWS, 1))])  # fmt: skip
-    answers, worn = misfit.clocks(x)
-    for number, (key, size) in enumerate(zip(problem.settings.process, sizes, strict=True)):
-        body = BODIES.index(body_of_wear(key))
-        mean_depth = (
-            modes.volume[body, :, 0] + coordinates @ modes.volume[body, :, 1:].T
-        ) / case.area
-        across = np.zeros(n + len(test.prior_values))
-        across[:n] = size * misfit.whitened(answers[:, number] * worn[:, number])[counted]
-        at_now = np.array([np.interp(now, time, row) for row in mean_depth])
-        excess = rest @ (precision @ across)
-        variance = np.maximum(size * at_now - across @ precision @ across, 0.0)
-        excess += np.sqrt(variance) * random.standard_normal(_DRAWS)
-        increments = np.diff(
-            np.maximum(mean_depth, at_now[:, None]), axis=1, prepend=at_now[:, None]
-        )
-        steps = np.sqrt(size * np.maximum(increments, 0.0)) * random.standard_normal(
-            increments.shape
-        )
+    histories, v, random = follower.histories, found.chosen(_DRAWS), np.random.default_rng(1)
+    approach, time = histories.at_steps("approach"), histories.time
+    depths = v @ (approach - approach[0]).T
+    for body, key in enumerate(follower.problem.settings.process):
+        worn = v @ histories.at_steps(f"depth.{body_of_wear(key)}").T
+        size = found.shares[body] ** 2 * follower.most[body]
+        at_now = np.array([np.interp(now, time, row) for row in worn])
+        excess, variance = np.zeros(len(v)), size * at_now
+        if found.likelihood is not None:
+            old, emulator = found.likelihood.likelihood, found.likelihood.emulator
+            likelihood = TestLikelihood(old.test, old.setting, found.shares)
+            ((noise, growth),), clock = likelihood.noises, old.setting.clocks[body]
+            readings = v @ np.vstack([emulator.mean, emulator.modes])
+            node = int(np.argmax(likelihood.by_node(readings)[0].sum(axis=1)))
+            across = size * clock[0] * clock[1]  # its covariance with the readings
+            rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
+            taken = growth.directions(rows, np.append(0.0, np.ones(len(v))))[node]
+            along = rows.T @ rows[:, 0] - taken.T @ taken[:, 0]
+            excess, variance = along[1:], np.maximum(variance - along[0], 0.0)
+        excess = excess + np.sqrt(variance) * random.standard_normal(len(v))
+        later = np.diff(np.maximum(worn, at_now[:, None]), axis=1, prepend=at_now[:, None])
+        steps = np.sqrt(size * np.maximum(later, 0.0)) * random.standard_normal(later.shape)
         share = np.minimum(time / now, 1.0) if now > 0.0 else np.ones(len(time))
         depths = depths + share * excess[:, None] + np.cumsum(steps, axis=1)
     return times_at(time, depths, depth)

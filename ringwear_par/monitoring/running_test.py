@@ -14,14 +14,9 @@ from ringwear_par.files.text import parse_toml, read_text
 from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.scatter import check_scatter
+from ringwear_par.identification.definition.schema import FEWEST_READINGS
 
-#: why nothing can be followed
-NOT_KNOWN = (
-    "has neither scatter nor random wear, and a sensor's intervals would stop tests too early: "
-    'scatter = "fit" with repeats, a known scatter, or process is needed'
-)
 _MARKS = b"\xff\xfe", b"\xfe\xff"
 
 
@@ -30,11 +25,11 @@ class GrowingFiles(FileStore):
 
     def __init__(self, folder: Path, growing: frozenset[str]) -> None:
         super().__init__(folder)
-        self._growing = growing
+        self.growing = growing
 
     def __call__(self, name: str, skip: int = 0, drop: Sequence[str] = ()) -> Measurements:
         """Return a file's table, without a last line that has no end."""
-        if name not in self._growing:
+        if name not in self.growing:
             return super().__call__(name, skip, drop)
         return self.read(name, _whole_lines, skip=skip).without(drop)
 
@@ -61,8 +56,9 @@ class RunningTest:
     source: Path
     #: of the experiment
     name: str
-    #: names of its files
-    files: frozenset[str]
+    #: names of its files of data, and of measured inputs
+    data: frozenset[str]
+    inputs: frozenset[str]
     #: whether the fit file has no other
     alone: bool
 
@@ -78,23 +74,35 @@ class RunningTest:
         named: dict[str, Any] = {}
         for _, table in experiment_tables(str(source), tables, None, store, []):
             if isinstance(table, Mapping) and isinstance(table.get("name"), str):
-                named[table["name"]] = table.get("data")
+                named[table["name"]] = table
         if not named:  # the fit file's own sentences tell
             read_fit(source)
         name = [*named][-1] if name is None else name
         if name not in named:
             known = ", ".join(legible(known) for known in named)
             raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
-        series = named[name] if isinstance(named[name], list) else []
-        files = {s["file"] for s in series if isinstance(s, Mapping) and "file" in s}
-        texts = frozenset(file for file in files if isinstance(file, str))
-        return cls(source, name, texts, len(named) == 1)
+        tables = named[name]
+        data, inputs = (
+            frozenset(
+                entry["file"]
+                for entry in (tables[kind] if isinstance(tables.get(kind), list) else [])
+                if isinstance(entry, Mapping) and isinstance(entry.get("file"), str)
+            )
+            for kind in ("data", "input")
+        )
+        return cls(source, name, data, inputs, len(named) == 1)
+
+    @property
+    def files(self) -> frozenset[str]:
+        """Names of its files, all of which grow."""
+        return self.data | self.inputs
 
     @property
     def missing(self) -> list[Path]:
-        """Its files that have no readings yet."""
-        paths = [self.source.parent / name for name in sorted(self.files)]
-        return [path for path in paths if not _has_readings(path)]
+        """Its files that have too few readings yet."""
+        fewest = dict.fromkeys(self.data, 1) | dict.fromkeys(self.inputs, FEWEST_READINGS)
+        paths = {self.source.parent / name: least for name, least in sorted(fewest.items())}
+        return [path for path, least in paths.items() if not _has_readings(path, least)]
 
     @property
     def file_stamps(self) -> list[tuple[int, int, int] | None]:
@@ -120,8 +128,6 @@ class RunningTest:
                 f"{place} has no test; --after must name the folder of a fit of others"
             )
         whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
-        if not whole.mixed:
-            raise InputError(f"{self.source}: {NOT_KNOWN}")
         tests = tuple(test for test in whole.experiments if test.name != self.name)
         faults: list[str] = []
         check_scatter(replace(whole, name=place, experiments=tests), faults)
@@ -139,14 +145,14 @@ class RunningTest:
         files = GrowingFiles(self.source.parent, self.files)
         problem = read_fit(self.source, test=self.name, files=files)
         (experiment,) = problem.experiments
-        faults = [fault for series in experiment.series for fault in _faults(series)]
-        faults += [
-            f"{measured.key}: is a measured input, which must cover the test; must be a number or "
-            "a table of the case while a test runs"
-            for measured in experiment.inputs
+        faults = [
+            f"{self.source}: {legible(self.name)}: {series.file or series.name}: {assumption}; its "
+            "unit must be given"
+            for series in experiment.series
+            for assumption in series.assumptions
         ]
         if faults:
-            raise InputError(*(f"{self.source}: {legible(self.name)}: {f}" for f in faults))
+            raise InputError(*faults)
         series = tuple(averaged(record, experiment.case.time.end) for record in experiment.series)
         laws = {law: _with_series(other, series) for law, other in problem.alternatives.items()}
         return replace(_with_series(problem, series), alternatives=laws)
@@ -158,25 +164,9 @@ def _with_series(problem: Problem, series: tuple[Series, ...]) -> Problem:
     return replace(problem, experiments=(replace(experiment, series=series),))
 
 
-def _has_readings(path: Path) -> bool:
-    """Tell whether a file has a line of names and a whole line below it."""
+def _has_readings(path: Path, fewest: int) -> bool:
+    """Tell whether a file has a line of names and enough whole lines below it."""
     try:
-        return path.read_bytes().count(b"\n") > 1
+        return path.read_bytes().count(b"\n") > fewest
     except (OSError, ValueError):
         return False
-
-
-def _faults(series: Series) -> list[str]:
-    """Return why a series cannot be followed."""
-    name = series.name
-    allowed = [kind for kind, of in READING_KINDS.items() if of.values is not None]
-    rules = {
-        f"{name}: must be one of {', '.join(allowed)} while a test runs; the fit after it reads "
-        "profiles and layers": series.kind not in allowed,
-        f'{name}: sd = "fit": must be a number while a test runs, such as the sd of experiments in '
-        "fit.json of earlier tests": series.sd_fitted,
-        f"{name}: censored readings have no normal density, by which draws are weighed; must be "
-        "left out while a test runs": series.censored is not None and series.censored.any(),
-    }
-    faults = [f"{series.file or name}: {a}; its unit must be given" for a in series.assumptions]
-    return faults + [rule for rule, broken in rules.items() if broken]

@@ -9,12 +9,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, in_signs, with_signs
 from ringwear_par.errors import InputError, counted, legible
 from ringwear_par.files import folders
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.identification import summary
+from ringwear_par.identification.draws import read_draws
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import time_words
@@ -64,7 +64,9 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
 def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
     sections = [page.Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
-    series, samples, text, inputs = stored_readings(folder / folders.READINGS, level)
+    series, text, inputs = stored_readings(folder / folders.READINGS, level)
+    draws = read_draws(folder / folders.POSTERIOR)
+    samples = dict(zip(draws.keys, draws.values(draws.material).T, strict=True))
     blocks = (
         page.Lines(_bands(level)),
         page.Charts(_series_charts(series)),
@@ -79,7 +81,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
         for i, row in enumerate(key_panels.fitted_keys(outcome, samples))
         for j, panel in enumerate(row)
     ]
-    sections.append(page.Section("Likelihoods and ellipses", [page.Charts(keys)]))
+    sections.append(page.Section("Draws of the keys", [page.Charts(keys)]))
     if outcome["alternatives"]:
         sections.append(
             page.Section(
@@ -94,9 +96,10 @@ def _summary(outcome: Mapping[str, Any]) -> list[page.Block]:
     parameters, level = outcome["parameters"], float(outcome["level"])
     lines = [
         f"{counted(outcome['n_data'], 'reading')}, {counted(len(parameters), 'parameter')}, "
-        f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
+        f"{outcome['histories']} histories, loss {outcome['loss']}",
         summary.goodness(outcome),
     ]
+    header = ("check", "statistic", "limit", "outcome")
     blocks: list[page.Block] = [_tiles(outcome)]
     if doubts := [with_signs(doubt["text"]) for doubt in outcome["doubts"]]:
         blocks.append(page.Lines(doubts, warning=True))
@@ -105,6 +108,7 @@ def _summary(outcome: Mapping[str, Any]) -> list[page.Block]:
         blocks.append(page.Lines([*map(with_signs, random_wear)]))
     if len(parameters) > 1:
         blocks.append(_correlations(outcome))
+    blocks.append(page.Table("What was checked", header, summary.check_rows(outcome)))
     return blocks
 
 
@@ -114,11 +118,11 @@ def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
     for key, entry in outcome["parameters"].items():
         row = summary.key_rows(key, entry)[0]
         unlimited = [end is None for end in row.interval]
-        value, note = _number(row.estimate, 4), row.verdict
+        value, note = _number(row.estimate, row.digits), row.verdict
         if not any(unlimited):
-            note = f"{summary.limits(row.interval, 4)} ({percent})"
+            note = f"{summary.limits(row.interval, row.digits)} ({percent})"
         elif not all(unlimited):
-            value, note = summary.limits(row.interval, 4), f"{percent}, {note}"
+            value, note = summary.limits(row.interval), f"{percent}, {note}"
         tiles.append(page.Tile(key, value, in_signs(row.unit), note))
     return page.Tiles([*tiles, page.checks_tile(len(outcome["doubts"]))])
 
@@ -126,18 +130,12 @@ def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
 def _estimates(parameters: Mapping[str, Any], level: float) -> page.Table:
     percent, header = f"{100 * level:g} %", ["key", "estimate", "sd", "unit"]
     header += [f"{percent} from", f"{percent} to", "verdict"]
-    sampled = any("posterior" in entry for entry in parameters.values())
-    if sampled:
-        header += ["posterior median", "posterior from", "posterior to"]
-    rows = []
-    for key, entry in parameters.items():
-        for row in summary.key_rows(key, entry):
-            cells = [
-                row.label, _number(row.estimate, 5), _number(row.sd, 2), in_signs(row.unit),
-                *(_number(end, 5) for end in row.interval), row.verdict or with_signs(row.note),
-            ]  # fmt: skip
-            posterior = [_number(value, 5) for value in row.posterior] or [""] * 3
-            rows.append(cells + posterior * sampled)
+    rows = [
+        [row.label, _number(row.estimate, row.digits), _number(row.sd, 2), in_signs(row.unit),
+         *(_number(end, row.digits) for end in row.interval), row.verdict or with_signs(row.note)]
+        for key, entry in parameters.items()
+        for row in summary.key_rows(key, entry)
+    ]  # fmt: skip
     return page.Table("Estimates", header, rows)
 
 
@@ -158,7 +156,7 @@ def _scatter(outcome: Mapping[str, Any]) -> list[page.Block]:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return _DASH if value is None else f"{value:.{digits}g}"
+    return _DASH if value is None else summary.number(value, digits)
 
 
 def _correlations(outcome: Mapping[str, Any]) -> page.Table:
@@ -183,14 +181,12 @@ def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 def stored_readings(
     path: Path, level: float
-) -> tuple[list[fit_panels.Series], dict[str, FloatArray], str, list[page.Chart]]:
-    """Return series, samples of the posterior by key, the fit file's text, charts of inputs."""
+) -> tuple[list[fit_panels.Series], str, list[page.Chart]]:
+    """Return the series, the fit file's text, and charts of inputs."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         series = [_series_of(group, level) for group in _groups(file)]
-        posterior = file.get("posterior", {})
-        samples = {key: posterior[key][()] for key in posterior if key != "sample"}
         inputs = [_input_chart(number, group) for number, group in file.get("inputs", {}).items()]
-        return series, samples, file.attrs["fit"], inputs
+        return series, file.attrs["fit"], inputs
 
 
 def _input_chart(number: str, group: h5py.Group) -> page.Chart:
@@ -237,8 +233,7 @@ def _series_charts(drawn: Sequence[fit_panels.Series]) -> list[page.Chart]:
 def _bands(level: float) -> list[str]:
     percent = f"{100 * level:g} %"
     return [
-        f"Inner band: the model, {percent} confidence, from the covariance of the fitted keys and "
-        "nuisances, linear about the estimates; keys that are not identified count as known",
+        f"Inner band: the model, {percent}, from the draws of keys, nuisances and random wear",
         f"Outer band: {percent} of readings, noise included; bars, where there are few readings: "
         f"the noise, {percent}",
     ]
@@ -271,6 +266,7 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
         for number, design in enumerate(outcome["designs"], start=1)
     ]
     rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
+    rows.append(["today", "none", _DASH, *sds(outcome["today"])])
     units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
              for key, scale in scales.items()}  # fmt: skip
     header = ["design", "tests", "duration", *(f"sd of {key}{units[key]}" for key in scales)]
@@ -296,12 +292,5 @@ def _reproduced(outcome: Mapping[str, Any], text: str) -> page.Section:
         "ringwear report out/fit -o report.html\n"
     )
     first = "Save the fit file as fit.toml beside its case and its data, then type:"
-    starts = [
-        [str(number), _number(start["objective"], 6), "yes" if start["converged"] else "no",
-         str(start["error"] or "")]
-        for number, start in enumerate(outcome["starts"], start=1)
-    ]  # fmt: skip
-    header = ("start", "half the sum of squares, with priors", "converged", "error")
-    tables = [page.Table("Starts", header, starts)] if starts else []
     source = page.Source("Fit file", text)
-    return page.reproduced(first, commands, [source], outcome["versions"], tables, outcome["data"])
+    return page.reproduced(first, commands, [source], outcome["versions"], [], outcome["data"])

@@ -36,6 +36,9 @@ class FileStore:
     folder : from which their names count.
     """
 
+    #: names of files that are still written to: what they measure may end before the test
+    growing: frozenset[str] = frozenset()
+
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._read: dict[tuple[str, Any, Any], Any] = {}

@@ -1,0 +1,308 @@
+"""``rw.design`` and ``ringwear design``: the next tests that tell most of the fitted keys.
+
+The information of tests adds, nuisances of each being projected out, so that m + 1 histories a
+candidate, at a few draws of what is known, tell what every combination of them would.
+"""
+
+import itertools
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.folders import DESIGN, MAP, NEXT, check_folder
+from ringwear_par.files.writing import announce_replacement, closing_line
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.design.candidates import (
+    INSTANTS,
+    LOADS,
+    MOST_CANDIDATES,
+    Candidate,
+    candidates,
+    count_of,
+)
+from ringwear_par.identification.design.information import Before, before_tests, informations
+from ringwear_par.identification.histories import Readings
+from ringwear_par.parallel import on_first_rank
+from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.result import Outcome
+from ringwear_par.version import versions
+
+Source = Path | str | Mapping[str, Any]
+_FOLDER = "ringwear_par.identification.design.design_folder"
+#: designs that are listed; combinations whose scores are computed together
+_LISTED, _AT_ONCE = 10, 50_000
+#: share of the sd that bounds alone leave, below which a key of which nothing else was known is
+#: identified
+_IDENTIFIED = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Tests to make together, and what they would tell."""
+
+    #: their candidates, by number
+    tests: tuple[int, ...]
+    #: by the criterion, larger is better
+    score: float
+    #: bits, information on all keys: one bit halves one sd
+    gain: float
+    #: (m,) predicted standard deviations of the keys' values; infinite: not identified
+    sd: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class DesignResult(Outcome):
+    """The result of ``design``: all tests that could be made, and what any of them would tell."""
+
+    functions: ClassVar = dict.fromkeys(("summary", "to_dict", "save", "plot"), _FOLDER)
+
+    #: the fit
+    problem: Problem
+    #: what is known before
+    before: Before
+    #: (c,) tests that have histories
+    candidates: tuple[Candidate, ...]
+    #: (c, d, m, m) information in each about the unknowns of the material, at each draw
+    information: FloatArray
+    #: what the tests of the fit file would tell
+    planned_information: FloatArray
+    #: folder of the earlier fit that counts, "" for none
+    after: str
+    #: tests that have no history, and why the first one has none
+    failed: tuple[Candidate, ...]
+    reason: str
+    #: number of histories
+    histories: int
+    #: of the software
+    versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        tests = " + ".join(str(self.candidates[i].to_dict()) for i in self.designs[0].tests)
+        return f"<DesignResult: {tests}>"
+
+    @property
+    def today(self) -> Design:
+        """What is known without further tests."""
+        return self.design(np.zeros_like(self.planned_information))
+
+    @property
+    def planned(self) -> Design:
+        """What is known after the tests of the fit file."""
+        return self.design(self.planned_information)
+
+    @property
+    def single(self) -> FloatArray:
+        """(c, m) predicted standard deviations after each candidate alone."""
+        return self.sds(self.information)
+
+    def scores(self, tests: IntArray) -> FloatArray:
+        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time.
+
+        Larger is better. Of "D" the logarithm of how much smaller the ellipsoid becomes, of "A"
+        minus the mean variance, over the widths of bounds; means over the draws.
+        """
+        seconds = np.array([test.seconds for test in self.candidates])
+        scores = np.full(len(tests), -np.inf)
+        within = np.flatnonzero(seconds[tests].sum(axis=1) <= self.problem.design.time_limit)
+        for rows in np.array_split(within, len(within) // _AT_ONCE + 1):
+            scores[rows] = self._score(sum(self.information[column] for column in tests[rows].T))
+        return scores
+
+    def _gain(self, information: FloatArray) -> FloatArray:
+        precision = np.linalg.inv(self.before.covariance)
+        gain = np.linalg.slogdet(precision + information)[1] - np.linalg.slogdet(precision)[1]
+        return 0.5 * gain.mean(axis=-1)
+
+    def _score(self, information: FloatArray) -> FloatArray:
+        if self.problem.design.criterion == "D":
+            return self._gain(information)
+        low, high = self.problem.unknown_bounds
+        return -np.square(self._sd(information) / (high - low)).mean(axis=-1)
+
+    def _sd(self, information: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of unknowns by information (..., d, m, m)."""
+        covariance = np.linalg.inv(np.linalg.inv(self.before.covariance) + information)
+        sd: FloatArray = np.sqrt(np.diagonal(covariance.mean(axis=-3), axis1=-2, axis2=-1))
+        return sd
+
+    def design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
+        """Return the design of tests that have information (d, m, m) together."""
+        score, gain = float(self._score(information)), float(self._gain(information))
+        return Design((*tests,), score, gain / np.log(2.0), self.sds(information))
+
+    def sds(self, information: FloatArray) -> FloatArray:
+        """Return predicted standard deviations (..., m) of values by information (..., d, m, m)."""
+        sd = self._sd(information)
+        most = _IDENTIFIED * np.sqrt(np.diag(self.before.covariance))
+        lost = self.before.unknown & (sd > most)
+        return np.where(lost, np.inf, sd * self.problem.slopes(self.before.values))
+
+    @cached_property
+    def designs(self) -> tuple[Design, ...]:
+        """The best designs that differ in more than durations and instants, the best first.
+
+        All of one or two tests are looked at. Of more, tests are added to the best pair that leaves
+        time for them, then each is exchanged, until none is better.
+        """
+        count, every = self.problem.design.experiments, np.arange(len(self.candidates))
+        tests = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
+        if count > 2:
+            shortest = min(every, key=lambda i: self.candidates[i].seconds)
+            filled = np.column_stack([tests, np.full((len(tests), count - 2), shortest)])
+            chosen = filled[self.scores(filled).argmax()]
+            looked, before, score = [chosen[None]], -np.inf, -1e300
+            while score > before:
+                before = score
+                for place in [*range(2, count), 0, 1]:
+                    looked.append(np.tile(chosen, (len(every), 1)))
+                    looked[-1][:, place] = every
+                    scores = self.scores(looked[-1])
+                    chosen, score = looked[-1][scores.argmax()], float(scores.max())
+            tests = np.unique(np.sort(np.concatenate(looked), axis=1), axis=0)
+        scores = self.scores(tests)
+        designs: dict[Hashable, Design] = {}
+        for row in np.argsort(-scores, kind="stable").tolist():
+            if len(designs) == _LISTED or scores[row] == -np.inf:
+                break
+            chosen = tests[row]
+            kinds = tuple(sorted(self.candidates[i].kind for i in chosen))
+            if kinds not in designs:
+                designs[kinds] = self.design(self.information[chosen].sum(axis=0), chosen.tolist())
+        return (*designs.values(),)
+
+
+def design(
+    source: Source,
+    comm: MPI.Intracomm | None = None,
+    *,
+    after: str | Path | None = None,
+    criterion: Criterion | None = None,
+) -> DesignResult:
+    """Return the tests that would tell most of the fitted keys, from ``[design]`` of a fit file.
+
+    Collective on comm, the world's where none is given; the same on all ranks.
+
+    Parameters
+    ----------
+    source : the name of a fit file, or the same as a dict.
+    after : folder of an earlier fit of the same keys, whose draws tell what is known.
+    criterion : "D" or "A", instead of the file's.
+
+    Returns
+    -------
+    DesignResult : ``.designs``, the best first, ``.summary()``, ``.save(folder)``.
+
+    Raises
+    ------
+    InputError : all faults of the file and its data, or of the earlier fit.
+    ComputationError : a test of the fit file has no history, or too few candidates have one.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> best = rw.design("scripts/fit/plan.toml").designs[0]
+    >>> len(best.tests)
+    2
+    """
+    comm = MPI.COMM_WORLD if comm is None else comm
+
+    def read() -> tuple[Problem, Before, list[Candidate]]:
+        problem = read_fit(source, plans=True)
+        if criterion is not None:
+            problem = replace(problem, design=replace(problem.design, criterion=criterion))
+        _check(problem)
+        problem, before = before_tests(problem, None if after is None else Path(after))
+        return problem, before, candidates(problem.design, problem.experiments[0])
+
+    problem, before, tests = on_first_rank(comm, read)
+    own = len(problem.experiments)
+    whole = (*problem.experiments, *dict.fromkeys(test.experiment for test in tests))
+    parts: list[tuple[int, Any]] = [(i, range(len(t.series))) for i, t in enumerate(whole[:own])]
+    parts += [(whole.index(test.experiment), test.series) for test in tests]
+    # signals are not waited for: there is nothing to keep
+    readings = Readings(replace(problem, experiments=whole, alternatives={}), comm, StopSignals())
+
+    def lead() -> DesignResult:
+        information = informations(readings, before, own, parts)
+        good, space = np.isfinite(information).all(axis=(1, 2, 3)), problem.design
+        if not good[:own].all():
+            name = whole[int(np.argmin(good))].name
+            raise ComputationError(f'{problem.name}: experiment "{name}": {readings.reason}')
+        left = tuple(itertools.compress(tests, good[own:]))
+        failed = tuple(itertools.compress(tests, ~good[own:]))
+        shortest = min((test.seconds for test in left), default=np.inf)
+        if shortest * space.experiments > space.time_limit or not left:
+            raise ComputationError(
+                f"{problem.name}: design: {len(failed)} of {len(tests)} tests cannot be computed, "
+                f"which leaves too few: {readings.reason}"
+            )
+        found = DesignResult(
+            problem, before, left, information[own:][good[own:]], information[:own].sum(axis=0),
+            str(after or ""), failed, readings.reason, readings.count, versions(),
+        )  # fmt: skip
+        assert found.designs  # once, on this rank
+        return found
+
+    return readings.lead(lead)
+
+
+def _check(problem: Problem) -> None:
+    """Refuse designs that cannot be. Raises InputError."""
+    space, name = problem.design, f"{problem.name}: design"
+    if not space.ranges:
+        raise InputError(
+            f"{name}.vary: is missing or empty; must name what may differ between tests, as the "
+            "range of load.pressure"
+        )
+    first = problem.experiments[0]
+    for key in space.ranges:
+        if key in problem.keys or (key in LOADS and {*LOADS} & {*problem.keys}):
+            raise InputError(f"{name}.vary: {key}: is fitted as well; must be one or the other")
+        if key in INSTANTS and not any(series.profile for series in first.series):
+            raise InputError(
+                f'{name}.vary: {key}: needs a profile in experiment "{first.name}", as which tests '
+                "are measured"
+            )
+    end = first.case.time.end
+    shortest = space.experiments * space.ranges.get("time.end", (end, end))[0]
+    if shortest > space.time_limit:
+        raise InputError(
+            f"{name}.budget: time.end = {space.seconds:g}: must be at least {shortest:g}, "
+            f"{space.experiments} of the shortest tests"
+        )
+    if (count := count_of(space)) > MOST_CANDIDATES:
+        raise InputError(
+            f"{name}.vary: makes {count} tests; must be at most {MOST_CANDIDATES}: fewer keys, or "
+            "narrower load.steps or profiles"
+        )
+
+
+def run_design(
+    source: Path,
+    folder: Path,
+    comm: MPI.Intracomm,
+    *,
+    after: Path | None = None,
+    criterion: Criterion | None = None,
+) -> None:
+    """Find the next tests and write them to a folder. Collective on comm."""
+    files = (DESIGN, NEXT, MAP)
+    on_first_rank(comm, lambda: check_folder(folder, files, "fit"))
+    result = design(source, comm, after=after, criterion=criterion)
+
+    def save() -> None:
+        announce_replacement(folder / DESIGN)
+        result.save(folder)
+
+    on_first_rank(comm, save)
+    if comm.rank == 0:
+        print(result.summary())
+        print(closing_line(folder, files))

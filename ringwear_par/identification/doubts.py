@@ -1,0 +1,413 @@
+"""Doubts about a fit, and what was checked: reasons not to trust its numbers as they are.
+
+A doubt of a kind is one sentence, however many tests or series it is about.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning, counted
+from ringwear_par.files.smoothing import MOST_POINTS
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key
+from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
+from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.fitted_tests import FittedTest
+from ringwear_par.identification.record_checks import Record, trend
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.fit_result import FitResult
+
+#: chi2 over the number of readings above which a series stands out, and fewest of them
+_HIGH, _SEVERAL = 2.0, 5
+#: sd above which readings do not belong to the others; the largest share of such readings
+_FAR, _SHARE = 6.0, 0.1
+#: correlation of two keys above which a bound of one is what the other is known by
+_CONDITIONAL = 0.87
+#: probabilities below which differences between tests, or blocks of residuals, are not by chance
+_NO_CHANCE, _NO_NOISE = 0.01, 1e-4
+#: share of the largest information of a test below which a test has none
+_INFORMED = 1e-6
+#: beginnings of keys of rates: other keys are settings of the machine
+_RATES = ("wear.", "contact.friction")
+#: share of an input: smaller noise is not searched for trends
+_EXACT = 1e-3
+#: time constants of growth below which a record cannot distinguish growth from drift
+_ALIKE = 3.0
+#: groups up to which a scatter depends mostly on its prior
+_FEW = 2
+#: largest sd of the error of log p by emulators, and by time steps; fewest effective draws; largest
+#: share of histories that fail
+_EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
+
+
+class Finding(NamedTuple):
+    """Something about a series: how bad it is, what it is called, and its test."""
+
+    size: float
+    name: str
+    test: str
+
+
+def checks(fit: "FitResult") -> list[dict[str, Any]]:
+    """Return what was checked of a fit, the computation first, as fit.json has it."""
+    solution, trends, apart = fit.solution, _trends(fit), _disagreement(fit)
+    less = [
+        ("emulators: sd of the error of log p", solution.emulator_error, _EMULATED),
+        ("time steps halved: sd of the change of log p", solution.step_error, _STEPPED),
+        ("share of histories that failed", solution.failed / max(solution.histories, 1), _FAILED),
+    ]
+    more = [("effective number of draws", solution.effective, _EFFECTIVE)]
+    if fit.p_value is not None:
+        more.append(("chi2: probability of one so large", fit.p_value, 1e-3))
+    if trends:
+        name = "residuals in time: least probability that they are noise"
+        more.append((name, -max(trends).size, _NO_NOISE))
+    if apart is not None:
+        more.append((f"tests agree on {apart.key}: probability", apart.probability, _NO_CHANCE))
+    return [
+        {
+            "name": name,
+            "value": value if np.isfinite(value) else None,
+            "limit": limit,
+            "pass": bool(sign * value < sign * limit),
+        }
+        for sign, found in ((1.0, less), (-1.0, more))
+        for name, value, limit in found
+    ]
+
+
+def doubts(fit: "FitResult") -> list[ValidityWarning]:
+    """Return the doubts about a fit, those about its keys first."""
+    found = (_of_keys, _of_the_model, _outliers, _of_records, _of_tests, _of_sizes, _of_draws)
+    return [*(doubt for of in found for doubt in of(fit)), *assumptions(fit.problem.experiments)]
+
+
+def _merged(code: str, found: Sequence[Finding], sentence: str) -> Iterator[ValidityWarning]:
+    """Yield one doubt about all findings, by a sentence with the size of the worst one."""
+    if found:
+        worst, rest = max(found), len(found) - 1
+        more = f" and {counted(rest, 'other')}" * bool(rest)
+        tests = tuple(dict.fromkeys(finding.test for finding in found))
+        values = {finding.name: abs(finding.size) for finding in found}
+        text = f"{worst.name}{more}: {sentence.format(abs(worst.size))}"
+        yield ValidityWarning(code, text, (), tests, values)
+
+
+def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield doubts about keys that are not identified, or only by the bound of another."""
+    entries = fit.entries
+    lost = [key for key, entry in entries.items() if entry["verdict"] == "not identified"]
+    for words in dict.fromkeys(entries[key]["direction"] for key in lost):
+        keys = tuple(key for key in lost if entries[key]["direction"] == words)
+        text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
+        yield ValidityWarning("not-identified", text, keys)
+    for key, other, correlation in conditions(fit):
+        text = (
+            f"{key} is identified only by the bound {bound_of(entries[other]):g} of {other}: "
+            f"they are correlated by {correlation:+.2f}"
+        )
+        values = {"correlation": correlation}
+        yield ValidityWarning("conditional-verdict", text, (key, other), (), values)
+
+
+def bound_of(entry: Mapping[str, Any]) -> float:
+    """Return the bound at which a key is, by its entry in fit.json."""
+    return float(entry["bounds"][0 if entry["interval"][0] is None else 1])
+
+
+def conditions(fit: "FitResult") -> list[tuple[str, str, float]]:
+    """Return keys that are identified by the bound of another key, that, and their correlation."""
+    keys, table = [*fit.entries], fit.correlations
+    return [
+        (key, other, float(table[i, j]))
+        for i, key in enumerate(keys)
+        for j, other in enumerate(keys)
+        if fit.entries[key]["verdict"] == "identified"
+        and fit.entries[other]["verdict"] == "at bound"
+        and abs(table[i, j]) > _CONDITIONAL
+    ]
+
+
+def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield doubts about a model that does not fit, all readings or some."""
+    if fit.flagged:
+        text = (
+            f"the model does not fit: chi2 = {fit.chi2:.4g} of {fit.freedom:.4g} degrees of "
+            f"freedom (p = {fit.p_value:.1g}); the noise is larger than its sd, or the wear law is "
+            "another"
+        )
+        yield ValidityWarning("does-not-fit", text)
+        if fit.alternatives and all(other.flagged for other in fit.alternatives.values()):
+            yield ValidityWarning("no-law-fits", "none of the laws compared fits either")
+    bad = [
+        Finding(entry["chi2"] / entry["n"], f"{name} ({test})", test)
+        for test, of_test in fit.experiments.items()
+        for name, entry in of_test.items()
+        if entry["n"] > _SEVERAL and entry["chi2"] > _HIGH * entry["n"] and "sd" not in entry
+    ]
+    text = "chi2 is {:.3g} times the number of readings"
+    yield from _merged("series-does-not-fit", bad, text)
+
+
+def _records(fit: "FitResult") -> Iterator[tuple[FittedTest, Series, slice, str]]:
+    """Yield the test, the series, where its readings are, and its name, of all records."""
+    for test in fit.tests:
+        for series, part in test.records:
+            yield test, series, part, f"{series.name} ({test.experiment.name})"
+
+
+def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield doubts about readings that do not fit at all, and limits that do not hold."""
+    few, broken = [], []
+    for test, series, part, name in _records(fit):
+        off, side = test.residuals[part], test.censored[part]
+        far, owner = np.abs(off), test.experiment.name
+        if (wrong := (side * off > _FAR)).any():
+            broken.append(Finding(float(far[wrong].max()), name, owner))
+        far[side != 0.0] = 0.0
+        outside = far > _FAR
+        share = float(far[outside] @ far[outside] / max(far @ far, 1e-300))
+        rare = outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
+        if outside.any() and rare and not series.sd_fitted:
+            axis, unit = ("r", "mm") if series.profile else ("time", "s")
+            at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
+            few.append(Finding(float(far.max()), name + at, owner))
+    text = "up to {:.3g} sd off the model: check units; exclude leaves out an edge or a stop"
+    yield from _merged("outliers", few, text)
+    text = "the model is up to {:.3g} sd on the wrong side of limits; check censored and units"
+    yield from _merged("limits-broken", broken, text)
+
+
+def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield doubts about records: trends, signs, growth that may be drift, curves of inputs."""
+    text = (
+        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
+        "and intervals are too narrow"
+    )
+    yield from _merged("residuals-trend", [f for f in _trends(fit) if -f.size < _NO_NOISE], text)
+    against: list[Finding] = []
+    alike: list[Finding] = []
+    exclude = ""
+    for test, series, part, name in _records(fit):
+        values = not test.censored[part].any()
+        if values and READING_KINDS[series.kind].of_wear and not series.profile:
+            record = Record(test.experiment, series, test.pure[part])
+            if record.opposes():
+                against.append(Finding(-float(len(against)), name, test.experiment.name))
+                exclude = exclude or _excluded(record.exclude)
+        time = test.growth_times.get(test.experiment.series.index(series))
+        flat = {n.kind for n in series.nuisances if n.prior is None}
+        if time is not None and {"drift", "thermal"} <= flat:
+            lengths = float(series.x.max() / np.median(time))
+            if lengths < _ALIKE:
+                alike.append(Finding(-lengths, name, test.experiment.name))
+    text = (
+        "apart from nuisances, readings fall where the model rises; check their sign and the "
+        f"record of the test{exclude}"
+    )
+    yield from _merged("readings-oppose", against, text)
+    text = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
+    yield from _merged("drift-or-growth", alike, text)
+    yield from input_trends(fit.problem.experiments)
+
+
+def _excluded(part: tuple[float, float] | None) -> str:
+    """Return what to do about a part of a record that opposes the model."""
+    if part is None:
+        return ""
+    first, last = part
+    return (
+        f"; if readings from {first:.10g} to {last:.10g} s show something else than wear, leave "
+        f"them out: exclude = [[{first:.10g}, {last:.10g}]]"
+    )
+
+
+def _trends(fit: "FitResult") -> list[Finding]:
+    """Return how probable, times -1, the residuals of records in time are if they are noise."""
+    found = []
+    for test, series, part, name in _records(fit):
+        values = test.censored[part] == 0.0
+        if not series.profile and values.any():
+            # noise that is given is no smaller than that
+            least = 0.0 if series.sd_fitted else 1.0
+            p = trend(test.residuals[part][values], len(series.nuisances), least)
+            found.append(Finding(-p, name, test.experiment.name))
+    return found
+
+
+def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
+    """Return a doubt about measured inputs whose curves do not follow their readings, or none."""
+    found = []
+    for experiment in experiments:
+        for measured in experiment.inputs:
+            time, value = measured.series.x, measured.readings(experiment.case)
+            least = (_EXACT * float(value.mean())) ** 2
+            p = trend(value - measured.curve(experiment.case)(time), least=least)
+            if measured.smooth != "none" and p < _NO_NOISE:
+                name = f"{measured.key} ({experiment.name})"
+                found.append(Finding(-p, name, experiment.name))
+    text = (
+        "readings trend away from their curve (p = {:.1g}), which is too smooth for a jump or a "
+        f'fast change; smooth must be a shorter time, or "none" (at most {MOST_POINTS} readings)'
+    )
+    return [*_merged("input-trend", found, text)]
+
+
+class Disagreement(NamedTuple):
+    """How values of a key differ between tests: Cochran's Q, and the scatter that explains it."""
+
+    q: float
+    freedom: int
+    scatter: float
+    key: str
+    #: whether tests of equal conditions do
+    equal: bool
+    #: of the key, median of the tests, by their own readings
+    own_sd: float
+    tests: tuple[str, ...]
+
+    @property
+    def probability(self) -> float:
+        """Probability of so large a Q where tests do not differ."""
+        return float(chi2.sf(self.q, self.freedom)) if self.freedom else 1.0
+
+
+def heterogeneity(
+    score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
+) -> tuple[float, int, float]:
+    """Return Q, its freedom and the scatter within groups of tests, by scores (tests,)."""
+    q, freedom, size = 0.0, 0, 0.0
+    for tests in groups:
+        if len(tests) > 1:
+            s, a = score[[*tests]], information[[*tests]]
+            q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
+            freedom += len(tests) - 1
+            size += float(a.sum() - (a**2).sum() / a.sum())
+    scatter = np.sqrt(max(q - freedom, 0.0) / size) if size > 0.0 else 0.0
+    return q, freedom, float(scatter)
+
+
+def _disagreement(fit: "FitResult") -> Disagreement | None:
+    """Return the key of a rate that differs most between tests, and how much; None: none can."""
+    problem, found = fit.problem, []
+    score = np.array([squares.score[0] for squares in fit.squares])
+    information = np.array([np.diag(squares.information[0]) for squares in fit.squares])
+    equal_tests = defaultdict(list)
+    for i, experiment in enumerate(problem.experiments):
+        equal_tests[experiment.conditions].append(i)
+    for j, (key, parameter) in enumerate(zip(problem.keys, problem.parameters, strict=True)):
+        a = information[:, j]
+        informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
+        free = parameter.scatter is None and fit.entries[key]["verdict"] == "identified"
+        if len(informed) < 2 or not free or not key.startswith(_RATES):
+            continue
+        groups = [[i for i in tests if i in informed] for tests in equal_tests.values()]
+        about = (
+            float(np.median(a[informed] ** -0.5)),
+            tuple(problem.experiments[i].name for i in informed),
+        )
+        alike = Disagreement(*heterogeneity(score[:, j], a, groups), key, True, *about)
+        every = Disagreement(*heterogeneity(score[:, j], a, [informed]), key, False, *about)
+        found.append(alike if alike.probability < _NO_CHANCE else every)
+    # one that scatters makes the others look as if they did
+    return max(found, key=lambda entry: entry.q, default=None)
+
+
+def _of_tests(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield a doubt about the key of a rate whose values differ most between tests."""
+    if (found := _disagreement(fit)) is None or found.probability >= _NO_CHANCE:
+        return
+    key = found.key
+    log = fit.problem.parameters[fit.problem.keys.index(key)].log
+    unit = "" if log else unit_of_key(fit.problem, key)
+    scatter, own = (
+        f"{100.0 * size:.2g} %" if log else f"{size:.2g}{unit}"
+        for size in (found.scatter, found.own_sd)
+    )
+    text = (
+        f"{key} scatters between tests of {'equal' if found.equal else 'different'} conditions by "
+        f"{scatter} (DerSimonian-Laird), but the readings explain only {own}: use "
+        f'scatter = "fit"{"" if found.equal else ", or another law"}'
+    )
+    values = {"q": found.q, "freedom": found.freedom, "scatter": found.scatter,
+              "p": found.probability, "readings": found.own_sd}  # fmt: skip
+    yield ValidityWarning("tests-disagree", text, (key,), found.tests, values)
+
+
+def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield doubts about sizes of scatter and random wear."""
+    for key, entry in fit.entries.items():
+        for level, scatter in entry.get("scatter", {}).items():
+            if "known" in scatter or scatter["groups"] > _FEW:
+                continue
+            plural = PLURALS[level]
+            text = (
+                f"the scatter of {key} is from only {scatter['groups']} {plural}: the intervals of "
+                "the scatter and of the material depend mostly on the prior; 3 or more "
+                f"{plural} are needed"
+            )
+            values = {"groups": scatter["groups"], "level": level}
+            yield ValidityWarning("few-specimens", text, (key,), (), values)
+    for key, entry in fit.process.items():
+        body = body_of_wear(key)
+        if entry["verdict"] != "identified":
+            text = f"wear of {body}: intervals hold what was assumed of wear's own noise before"
+            yield ValidityWarning("process-from-prior", text, (key,))
+        if coarse_wear(fit, key):
+            size = entry["size"].get("estimate", entry["size"].get("known"))
+            text = (
+                f"wear of {body} comes in events of {1e6 * size:.3g} nm, more than is worn between "
+                "two readings: intervals of their size are not right"
+            )
+            yield ValidityWarning("coarse-wear", text, (key,))
+
+
+def coarse_wear(fit: "FitResult", key: str) -> bool:
+    """Tell whether events of random wear are larger than what is worn between two readings."""
+    body, size = [*fit.process].index(key), fit.process[key]["size"]
+    steps = [
+        np.diff(np.unique(test.depths[part, body]))
+        for test in fit.tests
+        for series, part in test.records
+        if series.n > _SEVERAL and not series.profile
+    ]
+    between = float(np.median(np.concatenate(steps))) if steps else np.inf
+    return float(size.get("estimate", size.get("known"))) > between
+
+
+def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
+    """Yield doubts about draws that are not those of the posterior."""
+    if fit.solution.weighed:
+        yield ValidityWarning("weighed", fit.solution.weighed)
+    elif not np.isfinite(fit.solution.step_error):
+        text = (
+            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
+            "narrower bounds or priors would help"
+        )
+        yield ValidityWarning("not-settled", text)
+    elif fit.solution.step_error >= _STEPPED:
+        text = f"time steps half as long would change log p by {fit.solution.step_error:.2g} (sd)"
+        yield ValidityWarning("step-dependent", text)
+    if fit.solution.failed > _FAILED * fit.solution.histories:
+        text = (
+            f"{fit.solution.failed} of {fit.solution.histories} histories failed, and count as "
+            f"improbable: {fit.solution.reason}"
+        )
+        yield ValidityWarning("histories-failed", text)
+
+
+def assumptions(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
+    """Return the doubts about units that no name has, or that are likely wrong, one a sentence."""
+    found: dict[str, list[Finding]] = defaultdict(list)
+    for test in experiments:
+        for series in [*test.series, *(entry.series for entry in test.inputs)]:
+            for sentence in series.assumptions + series.suspicions:
+                found[sentence].append(Finding(0.0, f"{series.name} ({test.name})", test.name))
+    escaped = {text.replace("{", "{{").replace("}", "}}"): of for text, of in found.items()}
+    return [d for text, of in escaped.items() for d in _merged("assumed-unit", of, text)]

@@ -1,0 +1,251 @@
+"""What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.problem import FittedParameter, Problem, reflected
+from ringwear_par.identification.posterior import Scattering
+from ringwear_par.identification.solution import Solution
+
+Verdict = Literal["identified", "at bound", "not identified"]
+#: a key is at its bound where the density there is more than this share of the largest
+_AT_BOUND = 0.25
+#: parts of an interval of 95 %, in which densities are counted
+_WINDOWS = 20
+#: share of the prior's sd above which an sd says hardly more
+_VAGUE = 0.5
+#: share of the largest component of a direction above which keys are mentioned
+_MENTIONED = 0.15
+#: correlation of a vague key with a nuisance that is to blame
+_TOGETHER = 0.9
+#: half width, relative, of the interval of the material that specimens are counted for; most
+_WANTED, _MOST_SPECIMENS = 0.1, 10_000
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A fitted key."""
+
+    key: str
+    #: in the case's unit: median and standard deviation of the draws
+    estimate: float
+    sd: float
+    #: None on a side that is not limited
+    interval: tuple[float | None, float | None]
+    #: whether the readings determine it
+    verdict: Verdict
+    #: what they determine instead, "" where they determine the key
+    direction: str = ""
+
+
+def judged(
+    draws: FloatArray, low: float, high: float, prior_sd: float, level: float
+) -> tuple[Verdict, list[float | None]]:
+    """Return the verdict on a number by its draws (s,), and its interval; None: no limit there.
+
+    Parameters
+    ----------
+    low, high : its bounds, infinite for none.
+    prior_sd : of what was known of it before.
+    """
+    draws, tail = np.sort(draws), 0.5 * (1.0 - level)
+    width = float(np.diff(np.quantile(draws, [0.025, 0.975]))[0]) / _WINDOWS
+    largest = (np.searchsorted(draws, draws + width) - np.arange(len(draws))).max()
+    at_low = np.searchsorted(draws, low + width) > _AT_BOUND * largest
+    at_high = len(draws) - np.searchsorted(draws, high - width) > _AT_BOUND * largest
+    one = at_low != at_high
+    ends = np.quantile(draws, [2.0 * tail, 1.0 - 2.0 * tail] if one else [tail, 1.0 - tail])
+    low_end, high_end = ends.tolist()
+    interval = [None if at_low else low_end, None if at_high else high_end]
+    if (at_low and at_high) or draws.std() > _VAGUE * prior_sd:
+        return "not identified", interval
+    return "at bound" if one else "identified", interval
+
+
+def prior_sd(parameter: FittedParameter) -> float:
+    """Return the standard deviation of a key's unknown before any reading."""
+    low, high = map(parameter.unknown, parameter.bounds)
+    flat, prior = (high - low) / math.sqrt(12.0), parameter.prior
+    if prior is None:
+        return flat
+    middle = min(max(prior.mean, parameter.bounds[0]), parameter.bounds[1])
+    return min(flat, prior.sd / parameter.slope(middle))
+
+
+def key_entries(
+    solution: Solution,
+    material: FloatArray,
+    own_sds: FloatArray,
+    some: FloatArray,
+    nuisances: dict[str, FloatArray],
+) -> dict[str, dict[str, Any]]:
+    """Return what fit.json tells of each key.
+
+    Parameters
+    ----------
+    material : (s, m) unknowns, a draw for each of the solution's.
+    own_sds : (tests, m) of the unknowns by each test's own readings, given the others.
+    some : (t, m) of them, beside which nuisances were drawn.
+    nuisances : draws (t,) by their names.
+    """
+    problem, posterior = solution.problem, solution.posterior
+    level, units, entries = problem.settings.level, units_of(problem), {}
+    scatterings = {s.key: s for s in posterior.scatterings}
+    for j, parameter in enumerate(problem.parameters):
+        low, high = map(parameter.unknown, parameter.bounds)
+        verdict, ends = judged(material[:, j], low, high, prior_sd(parameter), level)
+        values = np.exp(material[:, j]) if parameter.log else material[:, j]
+        entry = entries[parameter.key] = {
+            "estimate": parameter.value(float(np.median(material[:, j]))),
+            "sd": float(values.std()),
+            "interval": [None if end is None else parameter.value(end) for end in ends],
+            "verdict": verdict,
+            "bounds": list(parameter.bounds),
+            "of": "specimens",
+            "unit": units[parameter.key],
+        }
+        if verdict == "not identified":
+            entry["direction"] = direction(problem, np.atleast_2d(np.cov(material.T)), j, {
+                name: float(np.corrcoef(some[:, j], draws)[0, 1])
+                for name, draws in nuisances.items() if draws.std() > 0.0
+            })  # fmt: skip
+        if j in scatterings:
+            own = float(np.median(own_sds[:, j]))
+            entry.update(_scatter(solution, scatterings[j], parameter, material[:, j], own))
+    return entries
+
+
+def _scatter(
+    solution: Solution, s: Scattering, parameter: FittedParameter, material: FloatArray, own: float
+) -> dict[str, Any]:
+    """Return what fit.json tells of a key that scatters, by the unknown of the material (s,)."""
+    theta, problem = solution.theta, solution.problem
+    level, tests = problem.settings.level, problem.experiments
+    assert parameter.scatter is not None
+    bounds = tuple(map(parameter.unknown, parameter.bounds))
+    entry: dict[str, Any] = {"of": "material", "scatter": {}}
+    squares: dict[str, FloatArray] = {}
+    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
+    for number, name in enumerate(s.levels):
+        sizes = s.size(theta, number)
+        groups = int(np.unique(s.same[number], axis=0).shape[0])
+        if s.sizes[number] is None:
+            found: dict[str, Any] = {"known": s.known[number], "groups": groups}
+        else:
+            verdict, _ = judged(sizes, 0.0, np.inf, parameter.scatter.scale, level)
+            found = {"estimate": float(np.median(sizes)), "verdict": verdict, "groups": groups,
+                     "interval": np.quantile(sizes, tails).tolist()}  # fmt: skip
+        entry["scatter"][name] = found
+        squares[name] = sizes**2
+    spread = s.spread(theta)
+    if parameter.log:
+        entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
+    following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
+    ends = np.quantile(reflected(following, *map(np.array, bounds)), tails)
+    entry["next"] = [parameter.value(end) for end in ends.tolist()]
+    total = float(np.median(spread))
+    if "specimen" in squares:
+        size = float(np.sqrt(np.median(squares["specimen"])))
+        entry["repeatability"] = {"s_r": size, "r": 2.8 * size}
+    if len(squares) > ("specimen" in squares):
+        entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
+    finest = min(s.levels, key=("specimen", "batch", "lab").index)
+    place = ("specimen", "batch", "lab").index(finest)
+    entry["each"] = {}
+    for number, values in enumerate(theta[:, s.places].T):
+        name = tests[int(np.argmax(s.group == number))].groups[place]
+        ends = np.quantile(values, tails)
+        entry["each"][name] = {
+            "estimate": parameter.value(float(np.median(values))),
+            "sd": float((np.exp(values) if parameter.log else values).std()),
+            "interval": [parameter.value(end) for end in ends.tolist()],
+        }
+    wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
+    entry["specimens_for_10_percent"] = _specimens(wanted, math.hypot(total, own), level)
+    return entry
+
+
+def _specimens(wanted: float, sd: float, level: float) -> int | None:
+    """Return how many specimens make the half width of the material's interval small enough."""
+    n = np.arange(2, _MOST_SPECIMENS)
+    enough = student_t.ppf(0.5 + 0.5 * level, n - 1) * sd / np.sqrt(n) <= wanted
+    return int(n[enough.argmax()]) if enough.any() else None
+
+
+def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
+    """Return what fit.json tells of each body whose wear is random."""
+    entries, posterior = {}, solution.posterior
+    level = solution.problem.settings.level
+    shares = posterior.shares(solution.theta, posterior.known)
+    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
+    for body, (key, process) in enumerate(solution.problem.settings.process.items()):
+        share, depth = shares[:, body], float(solution.depths[body])
+        if not process.fitted:
+            known = float(share[0])
+            size = process.size or known**2 * depth
+            entries[key] = {"size": {"known": size}, "share": {"known": known},
+                            "depth": depth, "verdict": "identified"}  # fmt: skip
+            continue
+        low, high = np.quantile(share, tails).tolist()
+        before = student_t.ppf(0.5 + 0.5 * np.array(tails), 4)
+        narrow = math.log(high / low) < _VAGUE * math.log(before[1] / before[0])
+        middle = float(np.median(share))
+        entries[key] = {
+            "size": {"estimate": middle**2 * depth, "interval": [low**2 * depth, high**2 * depth]},
+            "share": {"estimate": middle, "interval": [low, high]},
+            "depth": depth,
+            "verdict": "identified" if narrow else "not identified",
+        }
+    return entries
+
+
+def direction(
+    problem: Problem, covariance: FloatArray, j: int, nuisances: dict[str, float] | None = None
+) -> str:
+    """Return in words what the readings determine instead of a key.
+
+    Parameters
+    ----------
+    covariance : (m, m) of the unknowns.
+    nuisances : their correlation with the key, by name.
+    """
+    parameters = problem.parameters
+    size = np.array([prior_sd(p) for p in parameters])
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    weakest = values[np.argmax(vectors[j] ** 2 * values)]
+    part = vectors[:, values > _VAGUE**2 * weakest]
+    weak = part @ part.T
+    taking = np.flatnonzero(np.abs(weak[j]) > _MENTIONED * np.abs(weak[j]).max()).tolist()
+    others = [parameters[i].key for i in taking if i != j]
+    if nuisances:
+        name = max(nuisances, key=lambda name: abs(nuisances[name]))
+        others += [name] * (abs(nuisances[name]) > _TOGETHER)
+    if not others:
+        return f"the readings hardly respond to {parameters[j].key}"
+    if len(others) < len(taking) and all(parameters[i].log for i in taking):
+        within, axes = np.linalg.eigh(weak[np.ix_(taking, taking)])
+        strong = axes[:, within < 0.5]
+        if strong.shape[1] == 1:
+            powers = strong[:, 0] / size[taking]
+            return f"only {_product([parameters[i].key for i in taking], powers)} is known"
+        return f"only products of {', '.join(sorted(parameters[i].key for i in taking))} are known"
+    listed = [", ".join(others[:-1]), others[-1]] if others[1:] else others
+    return f"{parameters[j].key} against {' and '.join(listed)}"
+
+
+def _product(keys: Sequence[str], powers: FloatArray) -> str:
+    """Return the product of powers of keys, that of the first by name being 1."""
+    named = sorted(zip(keys, powers.tolist(), strict=True))
+    words = [named[0][0]]
+    for name, power in named[1:]:
+        power /= named[0][1]
+        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
+        words.append(f"{'x' if power > 0 else '/'} {name}{exponent}")
+    return " ".join(words)

@@ -1,1 +1,0 @@
-"""Readings of histories at trial parameters."""

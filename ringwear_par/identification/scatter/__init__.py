@@ -1,1 +1,0 @@
-"""Fits of tests whose specimens differ: the values of a material, and how they scatter."""

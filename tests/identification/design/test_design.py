@@ -1,0 +1,244 @@
+"""Next tests: what they would tell in closed form and by brute force, and what is said of it."""
+
+import copy
+import itertools
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn import draws_of
+from laboratory import END, TRUTH, fit_tables, one_test, write_tests
+from parts import toml_text, write_draws
+
+import ringwear_par as rw
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.design.candidates import candidates
+from ringwear_par.identification.design.design import run_design
+from ringwear_par.identification.design.design_folder import next_tests
+from ringwear_par.identification.histories import Readings
+from ringwear_par.identification.readings import growth, nuisance_columns
+from ringwear_par.results.execution.stop_signals import StopSignals
+
+K, P0 = TRUTH
+VARY = {"load.pressure": [40.0, 96.0]}
+ARCHARD = {"wear.lower.law": "archard"}
+WARM = {"time": {"start": "25 s", "bounds": ["5 s", "200 s"]}}
+#: g, and of log k
+SD_MASS, SD_PRIOR = 2e-5, 0.2
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("design")
+    return folder, write_tests(folder, seed=None)
+
+
+@pytest.fixture
+def tables(laboratory):
+    """A function that makes a fit file at the truth, with a design."""
+
+    def made(vary=VARY, criterion="D", **budget):
+        folder, written = laboratory
+        found = fit_tables(folder, copy.deepcopy(written))
+        entries = found["fit"]["parameters"].items()
+        found["fit"]["parameters"] = {k: {**entry, "start": TRUTH[k]} for k, entry in entries}
+        budget = budget or {"experiments": 2}
+        return found | {"design": {"vary": vary, "budget": budget, "criterion": criterion}}
+
+    return made
+
+
+@pytest.fixture
+def weighings(laboratory):
+    """A function that makes a plan of single weighings, of which log k alone is fitted."""
+
+    def made(experiments=1, **fit):
+        mass = {"quantity": "mass.lower", "unit": "g", "sd": SD_MASS, "density": 1.9e-3}
+        mass |= {"times": [END]}
+        found = fit_tables(laboratory[0], [one_test("a", 50.0, mass, **ARCHARD)])
+        key = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
+        key |= fit.pop("key", {"prior": {"normal": [1e-7, SD_PRIOR * 1e-7]}})
+        found["fit"] = {"parameters": {K: key}, **fit}
+        vary = {"load.pressure": [20.0, 80.0]}
+        return found | {"design": {"vary": vary, "budget": {"experiments": experiments}}}
+
+    return made
+
+
+def worn(found):
+    """Return the mass (g) and mean depth (mm) that the best test wears off."""
+    case = found.candidates[found.designs[0].tests[0]].experiment.case
+    result = rw.simulate(case)
+    volume = result.histories["worn_volume_lower"][-1]
+    return 1.9e-3 * volume, volume / case.area
+
+
+def test_one_weighing_in_closed_form(weighings, comm):
+    """Mass goes with k: log k is known to sd/mass, and by its prior."""
+    found = rw.design(weighings(), comm)
+    mass, _ = worn(found)
+    (best,) = found.designs[:1]
+    assert found.candidates[best.tests[0]].loads == (80.0,)
+    by_reading = (mass / SD_MASS) ** 2
+    # mass at 6 draws of k about 1e-7
+    assert best.sd[0] == pytest.approx(1e-7 * (SD_PRIOR**-2 + by_reading) ** -0.5, rel=0.03)
+    assert best.gain == pytest.approx(0.5 * np.log2(1.0 + SD_PRIOR**2 * by_reading), rel=0.01)
+    assert found.today.sd[0] == pytest.approx(SD_PRIOR * 1e-7)
+    assert found.today.gain == 0.0
+
+
+def test_only_the_number_of_specimens_matters(weighings, comm):
+    """Of specimens that differ by 20 % two leave 14 %, whatever their tests are."""
+    two, five = (rw.design(weighings(count, key={"scatter": 0.2}), comm) for count in (2, 5))
+    for count, found in ((2, two), (5, five)):
+        assert found.designs[0].sd[0] == pytest.approx(1e-7 * 0.2 / np.sqrt(count), rel=0.01)
+        assert "only their number matters" in found.summary()
+    assert "differ by 20 %, so that 2 more leave an sd of 14 %" in two.summary()
+    precise = rw.design(weighings(2, key={"scatter": 1e-4}), comm)
+    assert "only their number" not in precise.summary()
+
+
+def test_random_wear_counts(weighings, comm):
+    """A mass m of mean depth S has a variance sd^2 + size m^2/S."""
+    size = 1e-6  # mm
+    found = rw.design(weighings(key={}, process={"wear.lower": {"size": size}}), comm)
+    mass, depth = worn(found)
+    variance = (SD_MASS / mass) ** 2 + size / depth
+    assert variance > 2.0 * (SD_MASS / mass) ** 2
+    assert found.designs[0].sd[0] == pytest.approx(1e-7 * np.sqrt(variance), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("count", "criterion", "warm"),
+    [(1, "D", True), (2, "A", False), (3, "D", False), (3, "A", False)],
+)
+def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
+    """Of all combinations, by Jacobians and covariances of readings with all nuisances."""
+    source = tables(criterion=criterion, experiments=count)
+    if warm:  # the rig grows
+        source["experiment"][0]["data"][0]["nuisance"]["thermal"] = WARM
+    found = rw.design(source, comm)
+    tests = tuple(test.experiment for test in found.candidates)
+    readings = Readings(replace(found.problem, experiments=tests), comm, StopSignals())
+    x = np.tile(found.problem.unknowns([*TRUTH.values()]), (len(tests), 1))
+    slopes = readings.lead(lambda: readings.jacobians(x))[1]
+    each = np.zeros((len(tests), 2, 2))
+    for matrix, test, columns in zip(each, tests, slopes, strict=True):
+        start = 0
+        for series in test.series:
+            added = nuisance_columns(series, test.case)
+            sds = [1e3 if n.prior is None else n.prior.sd for n in series.linear_nuisances]
+            if series.growth_time:
+                grown = growth(series.growth_time, test.case, series.x, 25.0)
+                added, sds = np.column_stack([added, grown]), [*sds, 1e3]
+            covariance = np.diag(series.sd**2) + (added * np.square(sds)) @ added.T
+            part = columns[start : (start := start + series.n)]
+            matrix += part.T @ np.linalg.solve(covariance, part)
+    widths = np.array([np.log(1e4), 200.0])
+    combinations = itertools.combinations_with_replacement(each, count)
+    covariances = [np.linalg.inv(np.diag(12.0 / widths**2) + sum(c)) for c in combinations]
+    size = np.linalg.det if criterion == "D" else lambda c: np.trace(c / np.outer(widths, widths))
+    best = np.sqrt(np.diag(min(covariances, key=size))) * [TRUTH[K], 1.0]
+    assert found.designs[0].sd == pytest.approx(best, rel=2e-3)
+
+
+def test_an_earlier_fit_counts(tables, comm, tmp_path):
+    """Its draws are what is known today; the noise that it found is that of the next tests."""
+    source = tables(experiments=1)
+    for experiment in source["experiment"]:
+        experiment["data"][0]["sd"] = "fit"
+    problem = read_fit(source)
+    draws = draws_of(problem.experiments[0].case, p0=np.linspace(20.0, 30.0, 200))
+    write_draws(tmp_path / "draws.nc", draws, {}, {}, {})
+    noise = {"penetration": {"sd": 0.5, "unit": "um"}}
+    (tmp_path / "fit.json").write_text(json.dumps({"experiments": {"test 9": noise}}))
+    found = rw.design(source, comm, after=tmp_path)
+    spread = np.std(draws.material, axis=0, ddof=1)
+    assert found.today.sd == pytest.approx(spread * [found.before.values[0], 1.0])
+    assert len(found.before.draws) == 6
+    assert found.problem.experiments[0].series[0].sd == pytest.approx(5e-4)
+    assert (found.designs[0].sd < found.today.sd).all()
+    other = tables()
+    other["fit"]["parameters"].pop(P0)
+    with pytest.raises(rw.InputError, match=rf"keys = .*must be those of .*{K}"):
+        rw.design(other, comm, after=tmp_path)
+    (tmp_path / "fit.json").write_text("{}")
+    with pytest.raises(rw.InputError, match=r"--after .*fit\.json: is no outcome of ringwear fit"):
+        rw.design(source, comm, after=tmp_path)
+
+
+def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
+    """Half of the ring would be worn off by the longest ones."""
+    found = rw.design(tables({"time.end": [100.0, 500000.0]}, experiments=1), comm)
+    assert found.failed
+    assert len(found.failed) + len(found.candidates) == 10
+    assert "worn off lower" in found.summary()
+    with pytest.raises(rw.ComputationError, match="too few"):
+        rw.design(tables({"time.end": [500000.0, 600000.0]}, experiments=1), comm)
+
+
+def test_candidates_keep_to_their_ranges(tables):
+    vary = {
+        "load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
+        "profiles": [1, 2], "profile.at": [0.2, 1.0], "load.omega": [1.0, 3.0],
+    }  # fmt: skip
+    problem = read_fit(tables(vary, **{"time.end": 90.0}))
+    every = candidates(problem.design, problem.experiments[0])
+    assert len({json.dumps([test.to_dict(), test.seconds]) for test in every}) == len(every)
+    for test in every:
+        assert all(40.0 <= load <= 80.0 for load in test.loads)
+        assert list(test.loads) == sorted(test.loads)
+        assert 20.0 <= test.seconds <= 90.0
+        series = [test.experiment.series[i] for i in test.series]
+        assert tuple(one.at for one in series if one.profile) == test.profiles
+        assert min(test.profiles) >= 0.2 * test.seconds * (1.0 - 1e-12)
+        assert series[0].x[-1] == pytest.approx(test.seconds)
+        assert series[0].n == pytest.approx(50 * test.seconds / END, abs=1)
+    assert {len(test.loads) for test in every} == {1, 2}
+    # instants of profiles share their histories
+    assert len({test.experiment for test in every}) == len(every) / (10 + 10)
+
+
+@pytest.mark.parametrize(
+    ("vary", "budget", "said"),
+    [
+        ({**VARY, "time.end": [60.0, 100.0]}, {"time.end": 100.0, "experiments": 2}, "120"),
+        (VARY, {"experiments": 2, "time.end": 100.0}, "200"),
+        ({**VARY, "profile.at": [0.5, 50.0]}, {}, "parts of the test"),
+        ({**VARY, "load.steps": [1, 4], "profiles": [1, 4], "time.end": [10.0, 100.0],
+          "load.omega": [1.0, 2.0]}, {}, "7800 tests"),
+        ({}, {}, "must name what may differ"),
+    ],
+)  # fmt: skip
+def test_spaces_that_are_refused(tables, vary, budget, said, comm):
+    with pytest.raises(rw.InputError, match=said):
+        rw.design(tables(vary, **budget), comm)
+
+
+def test_the_folder_holds_the_next_tests(tables, laboratory, tmp_path, comm, capsys):
+    """In the units of the ranges, with the noise of the readings that they are measured as."""
+    source, folder = tables({"load.pressure": ["400 bar", "960 bar"]}), tmp_path / "next"
+    early = {"quantity": "profile.lower", "r": {"from": 28.0, "to": 32.0, "count": 9},
+             "unit": "mm", "at": 0.2 * END, "sd": 0.6}  # fmt: skip
+    source["experiment"][0]["data"].insert(0, early)
+    file = laboratory[0] / "fit.toml"
+    file.write_text(toml_text(source))
+    run_design(file, folder, comm)
+    assert {path.name for path in folder.iterdir()} == {"design.json", "design.png", "next.toml"}
+    stored = json.loads((folder / "design.json").read_text())
+    assert set(stored["designs"][0]["sd"]) == set(TRUTH)
+    tests = tomllib.loads((folder / "next.toml").read_text())["experiment"]
+    for test, told in zip(tests, stored["designs"][0]["experiments"], strict=True):
+        assert test["set"]["load.pressure"] == f"{10.0 * told['load.pressure']:.9g} bar"
+        noise = [(one["quantity"], one["unit"], one["sd"]) for one in test["data"]]
+        assert noise == [("penetration", "um", 0.2), ("profile.lower", "um", 0.08)]
+    assert "2 of 15 tests" in capsys.readouterr().out
+    # beside those of the fit file they are planned tests, which tell what it says
+    planned = rw.design(source | {"experiment": tests}, comm).planned
+    assert planned.sd == pytest.approx([*stored["designs"][0]["sd"].values()], rel=1e-6)
+    assert next_tests(rw.design(source, comm)).count("[[experiment]]") == 2
+    with pytest.raises(rw.InputError, match=r"fit\.json"):
+        run_design(file, tmp_path / "later", comm, after=folder)
+    assert not (tmp_path / "later").exists()
