@@ -33,7 +33,7 @@ PLACES = {
     "history.refusals.stable_steps": "stable_steps",
     "history.start": "first_contact initial_state",
     "identification.definition.fit_file": "read_fit",
-    "identification.definition.problem": "ProcessNoise Series",
+    "identification.definition.problem": "ProcessNoise Scatter Series",
     "identification.draws": "Draws conditions_of law_names write_draws",
     "identification.fitted_values": "FittedValues",
     "identification.figures": "drawn_series",
