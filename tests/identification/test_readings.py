@@ -111,13 +111,9 @@ def test_readings_are_those_of_the_history(problem):
     assert approach[0] == pytest.approx(result.histories["approach"][middle], abs=2e-5)
 
 
-def test_what_is_no_case_has_no_readings(problem):
-    """Of a negative threshold; factors on rates are those of k; tests alike share histories."""
-    wide = replace(problem, parameters=(
-        problem.parameters[0], replace(problem.parameters[1], bounds=(-1e3, 200.0))))  # fmt: skip
-    lost, good = readings_of(wide, [1.3e-7, -5.0], [1.3e-7, 25.0])
-    assert np.isnan(lost).all()
-    assert np.isfinite(good).all()
+def test_factors_on_rates_and_tests_alike(problem):
+    """Factors are those of k; tests that are alike share histories."""
+    (good,) = readings_of(problem, [1.3e-7, 25.0])
     (faster,) = readings_of(problem, [1e-7, 25.0], factors=(1.3, 1.0))
     np.testing.assert_allclose(faster, good, rtol=1e-9)
     (test,) = problem.experiments
@@ -161,6 +157,9 @@ def test_a_mass_is_that_of_each_layer(tmp_path):
     tables["fit"]["parameters"]["lower.layers[0].thickness"]["bounds"][1] = 30.0
     with pytest.raises(rw.InputError, match=r"thickness: no case at its bound 30: .*together"):
         read_fit(tables)
+    wide = replace(problem.parameters[0], bounds=(1e-3, 30.0))
+    wider = replace(problem, parameters=(wide, *problem.parameters[1:]))
+    assert np.isnan(readings_of(wider, [30.0, 1e-8, 1.2e-7])).all()
 
 
 def test_steps_end_where_schedules_bend_and_profiles_are_read(problem):
