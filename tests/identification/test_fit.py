@@ -29,6 +29,7 @@ pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 K, P0, MU = "wear.lower.k", "wear.lower.p0", "contact.friction"
+FRICTION = {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}
 
 
 def near(found, truth=TRUTH, most=3.0):
@@ -64,8 +65,13 @@ def one_load(tmp_path_factory):
     """One test at one load, of few and noisy readings."""
     folder = tmp_path_factory.mktemp("one")
     (folder / "case.toml").write_text(CASE)
-    t, z = penetration(history(60.0), np.random.default_rng(3), np.linspace(10.0, END, 10), 0.0, 0.0)
-    parameters = {K: {**FITTED[K], "bounds": [2e-8, 1e-6]}, P0: {"start": 0.0, "bounds": [0.0, 60.0]}}
+    t, z = penetration(
+        history(60.0), np.random.default_rng(3), np.linspace(10.0, END, 10), 0.0, 0.0
+    )
+    parameters = {
+        K: {**FITTED[K], "bounds": [2e-8, 1e-6]},
+        P0: {"start": 0.0, "bounds": [0.0, 60.0]},
+    }
     test = one_test("A", 60.0, record(folder / "z.csv", t, z))
     return read_fit(fit_tables(folder, [test], parameters=parameters))
 
@@ -85,7 +91,7 @@ def ends(one_load, comm):
 
 
 def test_one_load_against_quadrature_over_true_histories(one_load, ends, comm):
-    """k against p0: a bent ridge, found from outside in, whatever the seed."""
+    """K against p0: a bent ridge, found from outside in, whatever the seed."""
     (test,) = one_load.experiments
     low, high = one_load.unknown_bounds
     p0 = np.linspace(low[1], high[1], 41)
@@ -118,8 +124,7 @@ def test_steps_are_halved_until_they_do_not_matter(ends):
 
 def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
     given = tables()
-    friction = {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}
-    given["fit"]["parameters"] = {**FITTED, K: {**FITTED[K], "bounds": [1e-8, 1e-6]}, MU: friction}
+    given["fit"]["parameters"] = {**FITTED, K: {**FITTED[K], "bounds": [1e-8, 1e-6]}, MU: FRICTION}
     found = rw.fit(given, comm)
     by_key = {p.key: p for p in found.parameters}
     for key in (MU, K):
@@ -159,7 +164,10 @@ def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
 def test_outliers_and_trends_are_named(tables, comm, tmp_path):
     """A torque that settles, a point at an edge, a weighing in another unit."""
     given = tables()
-    given["fit"]["parameters"] = {**FITTED, MU: {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}}
+    given["fit"]["parameters"] = {
+        **FITTED,
+        MU: {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"},
+    }
     t, noise = np.linspace(1.0, END, 100), np.random.default_rng(2).standard_normal(100)
     torque = 1e-3 * history(40.0).histories["torque"][-1]
     values = torque * (1.0 + 0.2 * np.exp(-t / 20.0)) + 0.02 * noise

@@ -101,7 +101,9 @@ def test_what_is_outside_is_impossible():
 def test_tests_of_a_specimen_share_its_value_and_of_an_emulator_its_coordinates():
     tests = [experiment(READ, name=name, groups=(specimen, "", ""))
              for name, specimen in (("a", "S1"), ("b", "S2"), ("c", "S1"))]  # fmt: skip
-    of = problem([parameter(0, (LOW, HIGH), scatter=Scatter({"specimen": 0.2})), parameter(1)], tests)
+    of = problem(
+        [parameter(0, (LOW, HIGH), scatter=Scatter({"specimen": 0.2})), parameter(1)], tests
+    )
     slopes = np.array([[1.0, 0.5], [0.2, -1.0]])
     emulated = emulator(np.zeros(2), slopes, [-1.0, -2.0], [1.0, 2.0])
     setting = Setting(READ.sd, np.zeros(2))

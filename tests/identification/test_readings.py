@@ -148,7 +148,9 @@ def test_a_mass_is_that_of_each_layer(tmp_path):
     problem, values = read_fit(coated(tmp_path)), [2.1e-3, 1e-8, 1.2e-7]
     (found,) = readings_of(problem, values)
     time = {"time.scheme": "adaptive", "time.tolerance": 1e-7, "output.times": [20.0, 36.0]}
-    case = problem.experiments[0].case.replace({**dict(zip(problem.keys, values, strict=True)), **time})
+    case = problem.experiments[0].case.replace(
+        {**dict(zip(problem.keys, values, strict=True)), **time}
+    )
     volumes = rw.simulate(case, MPI.COMM_SELF).layers["worn_volume_lower_layers"][1:]
     assert (volumes[1] < volumes[2]).all()  # here and there through it
     assert volumes[1, 1] > 0.0

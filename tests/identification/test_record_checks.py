@@ -65,7 +65,7 @@ def test_a_part_that_opposes_the_model_is_a_doubt(good, tmp_path):
     tables["experiment"][0]["data"][0]["nuisance"] = {"offset": {}, "drift": {}}
     found = rw.fit(tables, MPI.COMM_SELF)
     (doubt,) = (one for one in found.doubts if one.code == "readings-oppose")
-    (first, last), = doubt.values.values()
+    ((first, last),) = doubt.values.values()
     assert first == 0.0
     assert 4.0 <= last <= 30.0
     assert doubt.experiments == ("test 1",)

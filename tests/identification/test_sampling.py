@@ -32,7 +32,8 @@ def drawn(log_likelihood, d, width=8.0, seed=1):
 
 
 def test_a_bent_density():
-    """x is normal, y about x squared: quantiles of a mixture, by as many numbers."""
+    """X is normal, y about x squared: quantiles of a mixture, by as many numbers."""
+
     def banana(x):
         return norm.logpdf(x[:, 0], 0.0, 1.5) + norm.logpdf(x[:, 1], x[:, 0] ** 2, 0.3)
 

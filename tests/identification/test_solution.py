@@ -6,7 +6,7 @@ from linear_tests import LinearReadings, experiment, parameter, problem, series
 from parts import Scatter
 from scipy.stats import norm, t
 
-from ringwear_par.errors import ComputationError
+import ringwear_par as rw
 from ringwear_par.identification.solution import solve
 
 RNG = np.random.default_rng(7)
@@ -37,7 +37,9 @@ def test_a_linear_test_has_the_posterior_of_least_squares():
     assert found.theta.mean(axis=0) == pytest.approx(best, abs=0.1 * sd.min())
     np.testing.assert_allclose(np.cov(found.theta.T), covariance, rtol=0.15)
     rest = DATA - SLOPES @ best
-    exact = -0.5 * rest @ rest / 0.05**2 + np.log(2.0 * np.pi) + 0.5 * np.linalg.slogdet(covariance)[1]
+    exact = (
+        -0.5 * rest @ rest / 0.05**2 + np.log(2.0 * np.pi) + 0.5 * np.linalg.slogdet(covariance)[1]
+    )
     assert found.log_evidence == pytest.approx(exact, abs=0.03)
     assert found.evidence_error < 0.02
     assert found.emulator_error < 0.1
@@ -91,12 +93,13 @@ def test_regions_without_histories_are_counted():
     found = solved(BOTH, only_some)
     assert found.theta[:, 0].max() < 1.05
     assert 0 < found.failed < found.histories
-    with pytest.raises(ComputationError, match="no history at any draw: no history there"):
+    with pytest.raises(rw.ComputationError, match="no history at any draw: no history there"):
         solved(BOTH, lambda x: np.full((len(x), 20), np.nan))
 
 
 def test_readings_that_polynomials_cannot_follow_are_weighed_or_refused():
     """Jumps of some sd; and ones so large that hardly any draw counts."""
+
     def jumps(size):
         return lambda x: linear(x) + size * np.sign(np.sin(300.0 * x[:, :1]))
 
@@ -105,5 +108,7 @@ def test_readings_that_polynomials_cannot_follow_are_weighed_or_refused():
     assert "weighed by 1000 histories" in found.weighed
     assert 100.0 < found.effective < 1000.0
     assert np.abs(found.theta.mean(axis=0) - TRUTH).max() < 0.15
-    with pytest.raises(ComputationError, match="narrower bounds of wear.lower.*, or a prior"):
+    with pytest.raises(
+        rw.ComputationError, match=r"narrower bounds of wear\.lower\..*, or a prior"
+    ):
         solved(BOTH, lambda x: 50.0 * np.sin(1e4 * x[:, :1] * np.arange(1, 21)))

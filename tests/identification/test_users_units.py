@@ -33,10 +33,18 @@ def test_keys_are_stored_in_the_users_unit(good):
         assert getattr(row, name) == pytest.approx(1e3 * np.array(ENTRY[name]))
     assert row.value == "0.00013 mm3/(N m) per friction energy"
     bar = in_users_unit(p0, {"estimate": 20.0, "sd": 1.0, "interval": [None, 22.0]}, case)
-    assert (bar["estimate"], bar["interval"]) == (pytest.approx(200.0), [None, pytest.approx(220.0)])
+    assert (bar["estimate"], bar["interval"]) == (
+        pytest.approx(200.0),
+        [None, pytest.approx(220.0)],
+    )
     assert "per" not in bar
     # there is a threshold
-    assert specific_wear_rate(problem, K, {K: ENTRY, P0: {**ENTRY, "estimate": 25.0}}, np.zeros((2, 2))) is None
+    assert (
+        specific_wear_rate(
+            problem, K, {K: ENTRY, P0: {**ENTRY, "estimate": 25.0}}, np.zeros((2, 2))
+        )
+        is None
+    )
 
 
 def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(good):
