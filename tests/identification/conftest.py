@@ -9,6 +9,7 @@ from laboratory import (
     END,
     FACTORS,
     FITTED,
+    SD_PENETRATION,
     SHARE,
     TRUTH,
     fit_tables,
@@ -69,17 +70,16 @@ def specimens(tmp_path_factory):
         # steps of worn volume that are gamma distributed, of the mean that the law says
         steps = np.diff(np.interp(times, there, worn), prepend=0.0) / full
         ran = np.interp(full * SHARE**2 * np.cumsum(rng.gamma(steps / SHARE**2)), worn, there)
-        t, z = penetration(result, rng, times)
-        z += np.interp(ran, there, result.histories["penetration"]) - np.interp(
-            times, there, result.histories["penetration"]
-        )
+        t, z = penetration(result, None, ran)
+        decay = np.exp(-np.abs(np.subtract.outer(times, times)) / 3.0)
+        z += SD_PENETRATION * np.linalg.cholesky(decay) @ rng.standard_normal(len(t))
         nuisance = {"offset": {}, "drift": {"prior": {"normal": [0.1, 0.5]}}}
-        data = record(folder / f"z{number}.csv", t, z, correlation_time=3.0, nuisance=nuisance)
+        data = record(folder / f"z{number}.csv", times, z, correlation_time=3.0, nuisance=nuisance)
         weighing = {"quantity": "mass.lower", "unit": "mg", "density": 7.8e-3, "sd": 0.3,
                     "value": 7.8 * np.interp(ran[-1], there, worn)}  # fmt: skip
         known = {"wear.lower.p0": TRUTH["wear.lower.p0"]}
         experiments.append(one_test(f"test {number}", pressure, data, weighing, **known))
     scattering = {**FITTED[K], "scatter": "fit"}
-    process = {"wear.lower": "fit"}
+    process = {"wear.lower": {"share": SHARE}}
     tables = fit_tables(folder, experiments, process=process, parameters={K: scattering})
     return rw.fit(tables, MPI.COMM_SELF)

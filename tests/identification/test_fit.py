@@ -9,6 +9,7 @@ from laboratory import (
     END,
     FITTED,
     SD_PROFILE,
+    SHARE,
     TRUTH,
     fit_tables,
     history,
@@ -224,10 +225,7 @@ def test_the_material_and_its_specimens(specimens):
     assert k["repeatability"]["r"] == pytest.approx(2.8 * k["repeatability"]["s_r"])
     assert k["mean"] > k["estimate"]
     assert k["specimens_for_10_percent"] > 3
-    assert process["share"]["interval"][0] < 0.03 < process["share"]["interval"][1]
-    assert process["depth"] == pytest.approx(
-        process["size"]["estimate"] / process["share"]["estimate"] ** 2
-    )
+    assert process["size"]["known"] == pytest.approx(SHARE**2 * process["depth"])
     assert outcome["p_value"] > 1e-3
     words = specimens.summary()
     assert "between 3 specimens" in words
@@ -244,6 +242,25 @@ def test_one_coefficient_for_specimens_that_differ_is_a_doubt(specimens, comm):
     (doubt,) = (doubt for doubt in found.doubts if doubt.code == "tests-disagree")
     assert doubt.keys == (K,)
     assert 0.08 < doubt.values["scatter"] < 0.35
+
+
+def test_a_specimen_whose_wear_is_random(specimens, comm):
+    """By itself it tells k less well than its readings seem to, and how random its wear is."""
+    tables = parse_toml(specimens.problem.text, "fit")
+    tables["fit"]["parameters"][K].pop("scatter")
+    tables["fit"]["process"] = {"wear.lower": "fit"}
+    del tables["experiment"][1:]
+    found = rw.fit(tables, comm)
+    (k,), process = found.parameters, found.to_dict()["process"]["wear.lower"]
+    low, share, high = (process["share"]["interval"][0], process["share"]["estimate"],
+                        process["share"]["interval"][1])  # fmt: skip
+    assert low < SHARE < high
+    assert process["size"]["estimate"] == pytest.approx(share**2 * process["depth"])
+    assert k.interval[0] < 0.85 * TRUTH[K] < k.interval[1]
+    assert k.sd / k.estimate > 0.5 * share
+    (test,) = found.tests
+    ahead = test.excess[-1, 0] / test.depths[-1, 0]  # of the law, as far as readings tell
+    assert abs(ahead) < 3.0 * share
 
 
 def test_a_law_that_the_tests_bring_and_values_that_it_does_not_allow(tmp_path, comm):

@@ -125,7 +125,7 @@ def test_groups_are_those_of_arviz(of_specimens, specimens):
         shape = 4, count // 4
         assert file["posterior"][K].shape == shape
         assert file["posterior"][f"scatter of {K} between specimens"].shape == shape
-        assert file["posterior"]["process.wear.lower"].attrs["units"] == b"mm"
+        assert file["posterior"]["process.wear.lower"].attrs["units"] == "mm"
         assert file["log_likelihood"]["reading"].shape == (*shape, readings)
         logs = file["log_likelihood"]["reading"][:].reshape(count, readings)
         replicas = file["posterior_predictive"]["reading"][:].reshape(count, readings)

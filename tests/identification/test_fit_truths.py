@@ -14,7 +14,7 @@ TRUTH = {"wear.lower.k": 3e-8, "wear.upper.k": 2e-8, "contact.friction": 0.2}
 OFFSET, TILT = 1.0, 0.1
 #: by quantity: standard deviations and places of readings, in the units of the files
 SD = {"penetration": 0.05, "torque": 2.0, "profile.lower": 0.05, "profile.upper": 0.05}
-TIMES, FITS = np.linspace(2.0, END, 20), 24
+TIMES, FITS = np.linspace(2.0, END, 20), 12
 CASE = {"wear.lower.law": "archard", "wear.lower.p0": None, "wear.upper.law": "archard", **TRUTH,
         "mesh.contact_elements": 12}  # fmt: skip
 
@@ -133,7 +133,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fits):
             errors.append((one["estimate"] - true) / one["sd"])
             inside.append(abs(errors[-1]) < norm.ppf(0.975))
     assert len(inside) == 6 * FITS
-    assert 0.90 <= np.mean(inside) <= 0.98
-    assert np.std(errors) == pytest.approx(1.0, abs=0.18)  # three times how well 144 tell it
-    assert np.mean(errors) == pytest.approx(0.0, abs=0.25)
+    assert 0.88 <= np.mean(inside) <= 0.99
+    assert np.std(errors) == pytest.approx(1.0, abs=0.25)  # three times how well 72 tell it
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.35)
     assert kstest([found.p_value for found in fits[0]], "uniform").pvalue > 0.01

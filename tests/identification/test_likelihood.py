@@ -201,16 +201,3 @@ def test_long_tails_end_at_the_mode_of_students_t():
     assert given.expected[0] == pytest.approx(best, abs=1e-6)
     # about as much as the Fisher information of Student's t, 5/7 of that of a normal one
     assert likelihood.noises[0][0].covariance[0, 0] == pytest.approx(7 / 5 / 40, rel=0.25)
-
-
-def test_series_of_their_own_add_up():
-    """What has its own noise or growth is apart; the others are together."""
-    fitted = series(RNG.standard_normal(5), sd_fitted=True, name="second")
-    plain = series(RNG.standard_normal(N))
-    test = experiment(plain, fitted)
-    likelihood = TestLikelihood(test, setting(test), np.zeros(0))
-    readings = X @ SLOPES.T
-    one = TestLikelihood(experiment(plain), setting(experiment(plain)), np.zeros(0))
-    other = TestLikelihood(experiment(fitted), setting(experiment(fitted)), np.zeros(0))
-    assert likelihood.parts == [(0,), (1,)]
-    assert likelihood(readings) == pytest.approx(one(readings[:, :N]) + other(readings[:, N:]))

@@ -5,7 +5,6 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from ringwear_par.identification.sampling import (
-    Nearby,
     correlation_time,
     draw,
     log_evidence,
@@ -60,16 +59,6 @@ def test_the_integral_of_a_density():
     found, error = log_evidence(lambda x: known.logpdf(x) + 7.0, draws)
     assert error < 0.02
     assert found == pytest.approx(7.0, abs=4.0 * error)
-
-
-def test_a_density_about_draws_is_one():
-    """Its own draws, weighed, make its integral over a box 1, as points of the box do."""
-    random = np.random.default_rng(5)
-    draws = np.column_stack([x := random.standard_normal(4000), x**2])
-    nearby = Nearby(draws + 0.1 * random.standard_normal((4000, 2)))
-    points = random.uniform([-12.0, -30.0], [12.0, 60.0], (400_000, 2))
-    assert np.exp(nearby.log_density(points)).mean() * 24.0 * 90.0 == pytest.approx(1.0, abs=0.05)
-    assert nearby.draw(4000, np.random.RandomState(0)).shape == (4000, 2)
 
 
 def test_how_long_chains_remember():
