@@ -36,7 +36,8 @@ def write_measured(folder, truth, pressures):
         write_table(folder / f"m{number}.csv", ("t_s", "m_Nm"), t, 1e-3 * torque)
         experiment["input"] = [{**INPUT, "file": str(folder / f"m{number}.csv"), "smooth": "none"}]
         experiment["set"]["wear.lower.p0"] = truth["wear.lower.p0"]
-        experiment["data"][0]["nuisance"]["drift"] = {}
+        experiment["data"][0]["nuisance"]["drift"] = {"prior": {"normal": [0.3, 0.1]}}
+        del experiment["data"][1]
     tables = fit_tables(folder, experiments)
     tables["fit"]["parameters"] = {K: FITTED[K]}
     return tables
