@@ -7,6 +7,7 @@ import shlex
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,16 +15,17 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, legible, reason_of
+from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.draws import NEXT
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import Answer
+from ringwear_par.monitoring.answer import Answer, lines_of, page_of, warnings_of
 from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.monitor import Monitor, Targets
+from ringwear_par.monitoring.histories import frame_of
+from ringwear_par.monitoring.monitor import Asked, Monitor
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
@@ -93,37 +95,34 @@ def run_follow(
     running, percent, mm = on_first_rank(comm, begin)
     fit: Any = after
     if after is None:
-        others = on_first_rank(comm, running.other_tests)
-        fit = fit_problem(others, comm)
+        fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
     followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
     command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])
-    files = _Files(folder, command)
+    known, of = followed.known, followed.specimen
+    whom = of if of == NEXT else f"specimen {legible(of)}"
     with StopSignals() as signals:
         readings = Readings(followed.problem, comm, signals)
 
-        def lead() -> None:
-            known, problem, of = followed.known, followed.problem, followed.specimen
+        def monitor_of(problem: Problem) -> Monitor:
             readings.tell(f"histories of {legible(running.name)}")
             followers = {"": Follower(known.draws, of, problem, readings, draws, seed)}
             for law, other in problem.alternatives.items():  # by this rank alone
                 alone = Readings(other, MPI.COMM_SELF, signals)
                 followers[law] = Follower(known.laws[law], of, other, alone, draws, seed)
-            of_laws = {"": known.draws, **known.laws} if problem.alternatives else {}
-            evidences = {law: of_laws[law].log_evidence for law in followers if law in of_laws}
-            whom = of if of == NEXT else f"specimen {legible(of)}"
-            targets = Targets(_key_of(problem), percent, mm)
-            monitor = Monitor(followers, known.draws, evidences, targets, whom, followed.doubts)
-            _loop(followed, monitor, files, once, lambda: bool(signals.received))
+            laws = {"": known.draws, **known.laws} if problem.alternatives else {}
+            evidences = {law: laws[law].log_evidence for law in followers if law in laws}
+            asked = Asked(_key_of(problem), percent, mm, whom, followed.doubts)
+            return Monitor(followers, known.draws, evidences, asked)
 
-        try:
-            readings.lead(lead)
-        except StoppedError:
-            if on_first_rank(comm, lambda: files.answer is None):
-                raise
+        lines = readings.lead(
+            lambda: _loop(
+                followed, monitor_of, folder, command, once, lambda: bool(signals.received)
+            )
+        )
     if comm.rank == 0:
-        print(files.closing_words())
+        print("\n".join(lines))
 
 
 class _Followed(NamedTuple):
@@ -217,78 +216,57 @@ def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> 
 
 def _loop(
     followed: _Followed,
-    monitor: Monitor,
-    files: "_Files",
+    monitor_of: Callable[[Problem], Monitor],
+    folder: Path,
+    command: str,
     once: bool,
     stopped: Callable[[], bool],
-) -> None:
-    """Answer whenever the files change, until the end of the test."""
-    stamps, warned, waiting = None, "", False
-    while not stopped():
-        if (present := followed.running.file_stamps) != stamps:
-            stamps = present
-            try:
-                problem = followed.read()
-            except InputError as error:  # it is being written, or was replaced
-                if once:
-                    raise
-                if (reason := reason_of(error)) != warned:
-                    log.warning("%s; the last answer stays until that changes", reason)
-                warned = reason
-            else:
-                answer = monitor.answer(problem)
-                ended = once or answer.ended
-                files.write(answer, monitor, last=ended)
-                if ended:
-                    return
-                if not waiting:
-                    waiting = True
-                    end = problem.experiments[0].case.time.end
-                    log.info("waiting for readings up to %g s, the end of the test", end)
-        time.sleep(_LOOK)
-    files.write_page()
-
-
-class _Files:
-    """The last answer and its page, written anew as readings come. On one rank."""
-
-    def __init__(self, folder: Path, command: str) -> None:
-        self._folder, self._command = folder, command
-        self.answer: Answer | None = None
-        self._monitor: Monitor | None = None
-        self._paged, self._printed, self._alarmed, self._has_page = -_PAUSE, -_PAUSE, False, True
-
-    def write(self, answer: Answer, monitor: Monitor, *, last: bool) -> None:
-        """Write an answer, its page now and then and at last, and say it; or ComputationError."""
-        self.answer, self._monitor = answer, monitor
-        content = {**answer.to_dict(), "versions": versions()}
-        write_outcome(self._folder, "follow", {FOLLOW: lambda: json_bytes(content)})
-        now = time.monotonic()
-        if last or now - self._paged > _PAUSE:
-            self.write_page()
-        alarm = answer.alarm is not None and not self._alarmed
-        if not last and (alarm or now - self._printed > _PAUSE):
-            print("\n".join(answer.lines(warnings=alarm)), flush=True)
-            self._printed, self._alarmed = now, self._alarmed or alarm
-
-    def write_page(self) -> None:
-        """Write the page of the last answer; without bokeh there is none."""
-        if self.answer is None or self._monitor is None or not self._has_page:
-            return
-        self._paged, path = time.monotonic(), self._folder / PAGE
+) -> list[str]:
+    """Answer whenever the files change, until the end of the test; return the last words."""
+    answer: Answer | None = None
+    stamps, warned, frame, said, alarmed, ended = None, "", None, -_PAUSE, False, False
+    while not (ended or stopped()):
+        if (present := followed.running.file_stamps) == stamps:
+            time.sleep(_LOOK)
+            continue
+        stamps = present
         try:
-            check_page(path)
-        except InputError as error:
-            self._has_page = False
-            log.warning("%s", error)
-            return
-        write_page(self.answer.page(self._monitor.record(), self._command, versions()), path)
+            problem = followed.read()
+            if frame_of(problem) != frame:
+                monitor, frame = monitor_of(problem), frame_of(problem)
+        except InputError as error:  # it is being written, or was replaced
+            if once:
+                raise
+            if (reason := reason_of(error)) != warned:
+                log.warning("%s; the last answer stays until that changes", reason)
+            warned = reason
+            continue
+        except StoppedError:
+            break
+        answer = monitor.answer(problem)
+        content, ended = {**answer, "versions": versions()}, once or answer["ended"]
+        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, content)})
+        alarm = answer["alarm"] is not None and not alarmed
+        if not ended and (alarm or time.monotonic() - said > _PAUSE):
+            _write_page(folder, answer, monitor, command)
+            warnings = warning_lines(warnings_of(answer) if alarm else [])
+            print("\n".join([*lines_of(answer), *warnings]), flush=True)
+            said, alarmed = time.monotonic(), alarmed or alarm
+    if answer is None:
+        raise StoppedError("stopped before the first answer")
+    written = _write_page(folder, answer, monitor, command)
+    return [*lines_of(answer), *warning_lines(warnings_of(answer)), *written]
 
-    def closing_words(self) -> str:
-        """Return the last answer in words, and the names of its files."""
-        assert self.answer is not None
-        names = [self._folder / name for name in (FOLLOW, PAGE)[: 1 + self._has_page]]
-        return "\n".join([*self.answer.lines(), f"written: {', '.join(map(str, names))}"])
+
+def _write_page(folder: Path, answer: Answer, monitor: Monitor, command: str) -> list[str]:
+    """Write the page of an answer; return what stands in the folder, and why there is no page."""
+    outcome, page = folder / FOLLOW, folder / PAGE
+    try:
+        check_page(page)
+    except InputError as error:
+        return [*warning_lines([str(error)]), f"written: {outcome}"]
+    write_page(page_of(answer, monitor.record(), command, versions()), page)
+    return [f"written: {outcome}, {page}"]
 
 
 def _key_of(problem: Problem) -> int:

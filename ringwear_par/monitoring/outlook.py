@@ -9,7 +9,6 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
-from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.histories import part_of, times_of
 from ringwear_par.prediction.prediction import times_at
@@ -17,7 +16,7 @@ from ringwear_par.prediction.prediction import times_at
 #: draws by which readings are predicted, and for the time to a depth
 _PREDICTED, _DRAWS = 1000, 2000
 #: most readings of a record that are planned to the end; times that a goal may be reached at
-_PLANNED, _TIMES = 300, 60
+_PLANNED, _TIMES = 300, 9
 
 
 def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArray) -> float:
@@ -41,7 +40,7 @@ def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArr
         for i in growth.series
     }
     emulator = follower.histories.emulator_of(test)
-    likelihood = TestLikelihood(test, follower.setting_like(found, test), found.shares)
+    likelihood = follower.likelihood_like(found, test)
     new = new & ~np.isin(np.arange(test.n), likelihood.limits)
     off, spread, freedom = [], [], np.inf
     for part, (noise, growth) in zip(likelihood.parts, likelihood.noises, strict=True):
@@ -86,32 +85,25 @@ def time_to_goal(
     """
     end, m = test.case.time.end, follower.m
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    times, root = times_of(planned), np.sqrt(found.weights)[:, None]
-    x = np.column_stack([found.unknowns[:, :m], np.ones(len(root))])
-    slopes = np.linalg.lstsq(root * x, root * found.coordinates, rcond=None)[0][:-1]
+    times, x = times_of(planned), found.unknowns[:, :m] - found.weights @ found.unknowns[:, :m]
+    weighed = found.weights * x.T
+    slopes = np.linalg.pinv(weighed @ x, hermitian=True) @ weighed @ found.coordinates
     by_key = (slopes @ follower.histories.emulator.modes).T
-    known = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
-
-    def sd_at(time: float) -> float:
-        information, part = known, part_of(planned, times <= time * (1.0 + 1e-9))
+    before = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
+    at, sds = np.linspace(now, end, _TIMES), []
+    for time in at:
+        information = before
+        part = part_of(planned, times <= time * (1.0 + 1e-9))
         if part.series:
-            likelihood = TestLikelihood(part, follower.setting_like(found, part), found.shares)
             jacobian = follower.histories.read(by_key, part)
-            for noise, growth in likelihood.noises:
+            for noise, growth in follower.likelihood_like(found, part).noises:
                 white = noise(jacobian[noise.rows])
                 taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
                 information = information + white.T @ white - taken.T @ taken
-        return float(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
-
-    at, first = np.linspace(now, end, _TIMES), sd_at(now)
-    low, high, least = -1, len(at) - 1, sd_at(end) / first
-    if least > ratio:
-        return None, least
-    while high - low > 1:
-        middle = (low + high) // 2
-        reached = sd_at(float(at[middle])) <= ratio * first
-        low, high = (low, middle) if reached else (middle, high)
-    return float(at[high]), least
+        sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
+    less = np.minimum.accumulate(sds) / sds[0]
+    reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
+    return reached, float(less[-1])
 
 
 def _to_end(series: Series, end: float) -> Series:
@@ -148,10 +140,9 @@ def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> Fl
         excess, variance = np.zeros(len(v)), size * at_now
         if found.likelihood is not None:
             old, emulator = found.likelihood.likelihood, found.likelihood.emulator
-            likelihood = TestLikelihood(old.test, old.setting, found.shares)
-            ((noise, growth),), clock = likelihood.noises, old.setting.clocks[body]
+            ((noise, growth),), clock = old.noises, old.setting.clocks[body]
             readings = v @ np.vstack([emulator.mean, emulator.modes])
-            node = int(np.argmax(likelihood.by_node(readings)[0].sum(axis=1)))
+            node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
             across = size * clock[0] * clock[1]  # its covariance with the readings
             rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
             taken = growth.directions(rows, np.append(0.0, np.ones(len(v))))[node]
