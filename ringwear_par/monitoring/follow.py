@@ -2,10 +2,10 @@
 
 import json
 import logging
-import re
 import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -96,79 +96,48 @@ def run_follow(
     fit: Any = after
     if after is None:
         fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
-    followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
+    known = on_first_rank(comm, lambda: fit_knowledge(fit))
+
+    def read() -> _Followed:
+        return _followed(running, after, known)
+
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
     command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])
-    known, of = followed.known, followed.specimen
-    whom = of if of == NEXT else f"specimen {legible(of)}"
     with StopSignals() as signals:
-        readings = Readings(followed.problem, comm, signals)
+        readings = Readings(on_first_rank(comm, read).problem, comm, signals)
 
-        def monitor_of(problem: Problem) -> Monitor:
+        def monitor_of(followed: _Followed) -> Monitor:
             readings.tell(f"histories of {legible(running.name)}")
+            problem, of = followed.problem, followed.specimen
             followers = {"": Follower(known.draws, of, problem, readings, draws, seed)}
             for law, other in problem.alternatives.items():  # by this rank alone
                 alone = Readings(other, MPI.COMM_SELF, signals)
                 followers[law] = Follower(known.laws[law], of, other, alone, draws, seed)
             laws = {"": known.draws, **known.laws} if problem.alternatives else {}
             evidences = {law: laws[law].log_evidence for law in followers if law in laws}
+            whom = of if of == NEXT else f"specimen {legible(of)}"
             asked = Asked(_key_of(problem), percent, mm, whom, followed.doubts)
             return Monitor(followers, known.draws, evidences, asked)
 
-        lines = readings.lead(
-            lambda: _loop(
-                followed, monitor_of, folder, command, once, lambda: bool(signals.received)
+        def lead() -> list[str]:
+            return _loop(
+                running, read, monitor_of, folder, command, once, lambda: bool(signals.received)
             )
-        )
+
+        lines = readings.lead(lead)
     if comm.rank == 0:
         print("\n".join(lines))
 
 
 class _Followed(NamedTuple):
-    """A test that is followed, with what is known before it."""
+    """A test that is followed, and of whom the draws are before it."""
 
-    running: RunningTest
     #: of it alone, with the random wear that the fit knows, under all laws that are compared
     problem: Problem
-    known: FitKnowledge
     #: the next specimen, or one of the fit's
     specimen: str
     doubts: tuple[str, ...]
-
-    def read(self) -> Problem:
-        """Return the problem with the readings so far.
-
-        Raises
-        ------
-        InputError : its faults; the file has other keys or another case than at the beginning.
-        """
-        problem, before = self.running.read(), self.problem
-        same = _content(problem) == _content(before)
-        laws = {law: problem.alternatives.get(law, problem) for law in before.alternatives}
-        if not same or any(
-            _content(laws[n]) != _content(law) for n, law in before.alternatives.items()
-        ):
-            raise InputError(
-                f"{self.running.source}: fit.parameters, compare or the case of "
-                f"{legible(self.running.name)} changed; must stay while it is followed"
-            )
-        process = before.settings.process
-        return _with_process(replace(problem, alternatives=laws), process)
-
-
-def _content(problem: Problem) -> tuple[Any, str]:
-    """Return what of a problem of one test must stay: its keys, and its case but for inputs."""
-    (test,) = problem.experiments
-    case = test.case.replace({entry.key: 1.0 for entry in test.inputs})
-    return problem.parameters, case.text
-
-
-def _with_process(problem: Problem, process: Mapping[str, ProcessNoise]) -> Problem:
-    """Return a problem with random wear, under all its laws."""
-    settings = replace(problem.settings, process=process)
-    laws = {n: replace(law, settings=settings) for n, law in problem.alternatives.items()}
-    return replace(problem, settings=settings, alternatives=laws)
 
 
 def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> _Followed:
@@ -210,13 +179,16 @@ def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> 
         check_predicted(draws, of_law.experiments[0].case, of_law.name, specimen)
     sizes = zip(BODIES, known.draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    problem = _with_process(replace(problem, alternatives=laws), process)
-    return _Followed(running, problem, known, specimen, tuple(doubts))
+    settings = replace(problem.settings, process=process)
+    laws = {name: replace(law, settings=settings) for name, law in laws.items()}
+    problem = replace(problem, settings=settings, alternatives=laws)
+    return _Followed(problem, specimen, tuple(doubts))
 
 
 def _loop(
-    followed: _Followed,
-    monitor_of: Callable[[Problem], Monitor],
+    running: RunningTest,
+    read: Callable[[], _Followed],
+    monitor_of: Callable[[_Followed], Monitor],
     folder: Path,
     command: str,
     once: bool,
@@ -226,14 +198,14 @@ def _loop(
     answer: Answer | None = None
     stamps, warned, frame, said, alarmed, ended = None, "", None, -_PAUSE, False, False
     while not (ended or stopped()):
-        if (present := followed.running.file_stamps) == stamps:
+        if (present := running.file_stamps) == stamps:
             time.sleep(_LOOK)
             continue
         stamps = present
         try:
-            problem = followed.read()
-            if frame_of(problem) != frame:
-                monitor, frame = monitor_of(problem), frame_of(problem)
+            followed = read()
+            if frame_of(followed.problem) != frame:
+                monitor, frame = monitor_of(followed), frame_of(followed.problem)
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -243,7 +215,7 @@ def _loop(
             continue
         except StoppedError:
             break
-        answer = monitor.answer(problem)
+        answer = monitor.answer(followed.problem)
         content, ended = {**answer, "versions": versions()}, once or answer["ended"]
         write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, content)})
         alarm = answer["alarm"] is not None and not alarmed
@@ -276,13 +248,8 @@ def _key_of(problem: Problem) -> int:
 
 
 def _percent(text: str, faults: list[str]) -> float:
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%?\s*", text)
-    if match is None or not 0.0 < float(match[1]) < 100.0:
-        faults.append(f"--to = {legible(text)}: must be a percentage, such as 10%")
-        return np.nan
-    if float(match[1]) < 1.0 and "%" not in text:
-        faults.append(
-            f"--to = {legible(text)}: is a share or a percentage; must be "
-            f"{100.0 * float(match[1]):g}% or {match[1]}%"
-        )
-    return float(match[1])
+    with suppress(ValueError):
+        if 1.0 <= (percent := float(text.strip().removesuffix("%"))) < 100.0:
+            return percent
+    faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
+    return np.nan

@@ -8,6 +8,7 @@ from scipy.special import fdtrc, logsumexp
 from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.histories import part_of, times_of
@@ -15,8 +16,8 @@ from ringwear_par.prediction.prediction import times_at
 
 #: draws by which readings are predicted, and for the time to a depth
 _PREDICTED, _DRAWS = 1000, 2000
-#: most readings of a record that are planned to the end; times that a goal may be reached at
-_PLANNED, _TIMES = 300, 9
+#: times at which the sd of a key is expected
+_TIMES = 9
 
 
 def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArray) -> float:
@@ -112,12 +113,8 @@ def _to_end(series: Series, end: float) -> Series:
         return series
     apart = float(np.median(np.diff(series.x)))
     more = np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart)
-    # fewer readings stand for all; those of correlated noise tell no more where they are many
-    every = max(-(-len(more) // _PLANNED), 1)
-    fewer = 1.0 if series.correlation_time else np.sqrt(every)
-    x = np.append(series.x, more[::-1][::every][::-1])
-    sd = np.append(series.sd, np.full(len(x) - series.n, series.sd[-1] / fewer))
-    return replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None)
+    x, sd = np.append(series.x, more), np.append(series.sd, np.full(len(more), series.sd[-1]))
+    return averaged(replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None), end)
 
 
 def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> FloatArray:

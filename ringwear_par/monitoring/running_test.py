@@ -99,14 +99,13 @@ class RunningTest:
         return [path for path, fewest in paths.items() if _lines(path) <= fewest]
 
     @property
-    def file_stamps(self) -> list[tuple[int, int, int] | None]:
+    def file_stamps(self) -> list[tuple[int, int, int]]:
         """What changes when the fit file or one of the test's files is written to."""
-        paths = [self.source, *(self.source.parent / name for name in sorted(self.files))]
-        stamps: list[tuple[int, int, int] | None] = [None] * len(paths)
-        for number, path in enumerate(paths):
+        stamps = []
+        for name in (self.source.name, *self.files):
             with suppress(OSError):  # it may be replaced just now
-                status = path.stat()
-                stamps[number] = status.st_ino, status.st_size, status.st_mtime_ns
+                status = (self.source.parent / name).stat()
+                stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
         return stamps
 
     def other_tests(self) -> Problem:
