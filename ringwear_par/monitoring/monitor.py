@@ -111,7 +111,7 @@ class Monitor:
         time, less = time_to_goal(follower, found, part, asked.key, ratio, until)
         depth = None
         if asked.depth is not None:
-            reached = time_to(follower, found, asked.depth, until)
+            reached = time_to(follower, found, asked.depth)
             when = TimeTo.of(reached, self._level)
             depth = {"depth": asked.depth, **when._asdict()}
         answer = {

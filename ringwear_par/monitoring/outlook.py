@@ -117,37 +117,28 @@ def _to_end(series: Series, end: float) -> Series:
     return averaged(replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None), end)
 
 
-def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> FloatArray:
+def time_to(follower: Follower, found: Specimen, depth: float) -> FloatArray:
     """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
 
-    Wear that is random goes on from what the readings tell of it: of the wear so far, the excess
-    over its mean is normal given the readings; later wear is random anew.
-
-    Parameters
-    ----------
-    now : s, of the last reading.
+    Wear that is random is a Gaussian process here, of which the readings tell the past.
     """
     histories, v, random = follower.histories, found.chosen(_DRAWS), np.random.default_rng(1)
     approach, time = histories.at_steps("approach"), histories.time
-    depths = v @ (approach - approach[0]).T
+    depths, steps = v @ (approach - approach[0]).T, len(time)
     for body, key in enumerate(follower.problem.settings.process):
-        worn = v @ histories.at_steps(f"depth.{body_of_wear(key)}").T
-        size = found.shares[body] ** 2 * follower.most[body]
-        at_now = np.array([np.interp(now, time, row) for row in worn])
-        excess, variance = np.zeros(len(v)), size * at_now
+        most, share = follower.most[body], found.shares[body]
+        clock = histories.at_steps(f"depth.{body_of_wear(key)}") @ histories.middle / most
+        variance, excess = (share * most) ** 2 * np.minimum.outer(clock, clock), 0.0
         if found.likelihood is not None:
             old, emulator = found.likelihood.likelihood, found.likelihood.emulator
-            ((noise, growth),), clock = old.noises, old.setting.clocks[body]
+            ((noise, growth),), (slope, worn) = old.noises, old.setting.clocks[body]
             readings = v @ np.vstack([emulator.mean, emulator.modes])
             node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
-            across = size * clock[0] * clock[1]  # its covariance with the readings
+            across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
             rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
-            taken = growth.directions(rows, np.append(0.0, np.ones(len(v))))[node]
-            along = rows.T @ rows[:, 0] - taken.T @ taken[:, 0]
-            excess, variance = along[1:], np.maximum(variance - along[0], 0.0)
-        excess = excess + np.sqrt(variance) * random.standard_normal(len(v))
-        later = np.diff(np.maximum(worn, at_now[:, None]), axis=1, prepend=at_now[:, None])
-        steps = np.sqrt(size * np.maximum(later, 0.0)) * random.standard_normal(later.shape)
-        share = np.minimum(time / now, 1.0) if now > 0.0 else np.ones(len(time))
-        depths = depths + share * excess[:, None] + np.cumsum(steps, axis=1)
+            taken = growth.directions(rows, np.repeat([0.0, 1.0], [steps, len(v)]))[node]
+            along = rows[:, :steps].T @ rows - taken[:, :steps].T @ taken
+            variance, excess = variance - along[:, :steps], along[:, steps:].T
+        drawn = random.multivariate_normal(np.zeros(steps), variance, len(v), method="eigh")
+        depths = depths + excess + drawn
     return times_at(time, depths, depth)

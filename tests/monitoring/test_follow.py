@@ -343,7 +343,7 @@ def test_random_wear_goes_on_from_the_readings(folder):
     for size in (1e-9, 2e-4):
         follower = follower_of(problem, replace(draws, process=np.tile([size, 0.0], (2000, 1))))
         found = follower.update(part_of(test, times_of(test) <= 60.0))
-        reached = time_to(follower, found, 6.5e-3, 60.0)
+        reached = time_to(follower, found, 6.5e-3)
         times.append(np.quantile(reached, (0.2, 0.5, 0.8), method="inverted_cdf"))
     assert 60.0 < times[1][0] < times[1][1] < END
     assert np.ptp(times[1]) > 1.3 * np.ptp(times[0])
