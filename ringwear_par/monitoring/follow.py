@@ -159,10 +159,6 @@ def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> 
         )
     doubts = [doubt.text for doubt in doubts_of(known, experiment.case, specimen)]
     doubts += [
-        f"law {legible(law)} is not compared: {running.source} has no compare.{legible(law)}"
-        for law in known.laws if law not in asked
-    ]  # fmt: skip
-    doubts += [
         f"law {legible(law)} is not compared: {known.name} has no draws of it"
         for law in asked if not known.laws
     ]  # fmt: skip
