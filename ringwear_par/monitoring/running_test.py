@@ -56,8 +56,8 @@ class RunningTest:
     source: Path
     #: of the experiment
     name: str
-    #: fewest readings of its files, by their names
-    files: Mapping[str, int]
+    #: names of its files, all of which grow
+    files: frozenset[str]
     #: whether the fit file has no other
     alone: bool
 
@@ -80,29 +80,29 @@ class RunningTest:
         if name not in named:
             known = ", ".join(legible(known) for known in named)
             raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
-        files = {
-            entry["file"]: fewest
-            for kind, fewest in (("data", 1), ("input", FEWEST_READINGS))
+        files = frozenset(
+            entry["file"]
+            for kind in ("data", "input")
             for entry in (named[name][kind] if isinstance(named[name].get(kind), list) else [])
             if isinstance(entry, Mapping) and isinstance(entry.get("file"), str)
-        }
+        )
         return cls(source, name, files, len(named) == 1)
 
     @property
     def _growing(self) -> GrowingFiles:
-        return GrowingFiles(self.source.parent, frozenset(self.files))
+        return GrowingFiles(self.source.parent, self.files)
 
     @property
     def missing(self) -> list[Path]:
-        """Its files that have no line of names, or too few whole lines below it yet."""
-        paths = {self.source.parent / name: fewest for name, fewest in self.files.items()}
-        return [path for path, fewest in paths.items() if _lines(path) <= fewest]
+        """Its files that have too few whole lines for any nuisances yet, that of names included."""
+        paths = [self.source.parent / name for name in sorted(self.files)]
+        return [path for path in paths if _lines(path) <= FEWEST_READINGS]
 
     @property
     def file_stamps(self) -> list[tuple[int, int, int]]:
         """What changes when the fit file or one of the test's files is written to."""
         stamps = []
-        for name in (self.source.name, *self.files):
+        for name in (self.source.name, *sorted(self.files)):
             with suppress(OSError):  # it may be replaced just now
                 status = (self.source.parent / name).stat()
                 stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
