@@ -224,7 +224,7 @@ FAULTS = [
           "volume += np.log(np.diag(self._factor)).sum()", "volume += 0.0",
           "monitoring/test_follow.py::test_laws_are_as_probable_as_by_hand"),
     Fault("weights of new draws", "monitoring/follower.py",
-          "x, coordinates, ratio + log_l", "x, coordinates, 0.5 * (ratio + log_l)",
+          "x, coordinates, power * log_p", "x, coordinates, 0.5 * power * log_p",
           "monitoring/test_follow.py::test_a_sensor_that_leaves_few_draws"),
 ]  # fmt: skip
 
