@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student_t
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
@@ -155,16 +153,6 @@ def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> b
     return len(members) == len({b for _, b in members})
 
 
-def expected_sizes(problem: Problem) -> dict[tuple[str, str], float]:
-    """Return the sizes of all scatters in a plan, by key and group."""
-    return {
-        (p.key, group): p.scatter.start if size is None else size
-        for p in problem.parameters
-        if p.scatter is not None
-        for group, size in p.scatter.sizes.items()
-    }
-
-
 def read_process(place: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
     """Return the process noise by key ("wear.lower"), and add faults of it to the others."""
     if not isinstance(table, Mapping):
@@ -229,19 +217,3 @@ def check_process(problem: Problem, faults: list[str]) -> None:
                     f"own noise (fit.process); must be at most {_LONGEST_CORRELATION:g} of the "
                     f"record, {length:g} s"
                 )
-
-
-def known_sizes(problem: Problem, specimens: int) -> list[str]:
-    """Return the sentence on scatters that a plan takes as known and a fit does not; or none."""
-    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
-    fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
-    if not fitted:
-        return []
-    sentence = f"the scatter of {', '.join(fitted)} is taken as known"
-    if specimens < 2:
-        return [f"{sentence}; one specimen does not determine it"]
-    wider = student_t.ppf(0.975, specimens - 1) / norm.ppf(0.975)
-    return [
-        f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "
-        f"some {wider:.2g} times as wide (Student's t)"
-    ]
