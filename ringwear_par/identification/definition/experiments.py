@@ -16,13 +16,8 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals.cases import check_case
-from ringwear_par.identification.definition.inputs import (
-    input_keys,
-    read_inputs,
-    refuse_known,
-    with_places,
-)
-from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
+from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
+from ringwear_par.identification.definition.parameter_rules import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -89,10 +84,9 @@ class ExperimentReader:
         row = "" if place.startswith("experiment ") else f"{place}: "
         place = reader.place = f'{self._name}: {row}experiment "{legible(name)}"'
         changes = changes_of(reader, self._folder)
-        refuse_both(f"{place}: set", parameters, changes, faults)
         tables = reader.raw("input", [])
         measured = input_keys(tables)
-        refuse_known(place, measured, parameters, changes, faults)
+        refuse_twice(place, changes, parameters, measured, faults)
         case: Case | None = None
         inputs: tuple[MeasuredInput, ...] = ()
         if self._base is not None and len(faults) < MOST_FAULTS:  # more are not shown
@@ -159,20 +153,17 @@ class ExperimentReader:
         faults: list[str],
     ) -> tuple[Experiment, ...]:
         """Return the experiments under another law."""
-        changed = []
-        before = len(faults)
-        refuse_both(f"{self._name}: compare.{legible(name)}.set", parameters, changes, faults)
-        if len(faults) > before:
-            return ()
+        changed, before = [], len(faults)
         for experiment in experiments:
             place = (
                 f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             )
             measured = [entry.key for entry in experiment.inputs]
-            refuse_known(place, measured, parameters, changes, faults)
-            full_changes = in_full(changes, self._folder)
-            keys = override(self._keys[experiment.name], full_changes)
-            case = self._case(place, keys, changes, parameters, faults)
+            refuse_twice(place, changes, parameters, measured, faults)
+            keys = override(self._keys[experiment.name], in_full(changes, self._folder))
+            case = None
+            if len(faults) == before:
+                case = self._case(place, keys, changes, parameters, faults)
             if case is None:
                 break  # the others have the same fault
             changed.append(replace(experiment, case=case))

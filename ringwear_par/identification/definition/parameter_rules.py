@@ -1,6 +1,7 @@
 """Fitted keys and the cases of tests: smooth, not set as well, in the order that laws need."""
 
 import difflib
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,8 +11,10 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import Fault, InputError
 from ringwear_par.history.derivatives.keys import differentiable, elastic_numbers
 from ringwear_par.identification.definition.problem import FittedParameter
-from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.wear.law import parameters_of
+
+#: the loads of a test, of which it has one
+LOADS = ("load.force", "load.pressure", "load.displacement")
 
 
 def refuse_unfit(
@@ -64,25 +67,26 @@ def _faults_of_bounds(place: str, parameter: FittedParameter, case: Case) -> lis
     return []
 
 
-def refuse_both(
-    place: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
+def refuse_twice(
+    place: str,
+    changes: Mapping[str, Any],
+    parameters: Sequence[FittedParameter],
+    measured: Sequence[str],
+    faults: list[str],
 ) -> None:
-    """Add a fault for each key that is both set and fitted.
+    """Add a fault for each quantity that is set, fitted or an input, and known otherwise as well.
 
     A table that is set, as of layers or of a user's law, may lack the fitted number: its start
     fills the case.
     """
-    loads = {"load.force", "load.pressure", "load.displacement"}
-    keys = _single_keys(changes)
-    for parameter in parameters:
-        path, entry = split_key(parameter.key)
-        same = {parameter.key} if entry is not None else loads if path in loads else {path}
-        for key in sorted(same & keys):
-            sentence = (
-                f"{key}: is set, and {parameter.key} is fitted; must be one or the other, a fitted "
-                "key needs no value in the case"
-            )
-            faults.append(Fault(f"{place}: {sentence}", key, "conflict"))
+    known = [(key, "is set") for key in sorted(_single_keys(changes))]
+    known += [(parameter.key, "is fitted") for parameter in parameters]
+    known += [(key, "is an input") for key in measured]
+    for (key, how), (other, how_too) in itertools.combinations(known, 2):
+        same = key == other or (key in LOADS and other in LOADS)
+        if same and how_too != "is set":
+            sentence = f"{place}: {key}: {how}, and {other} {how_too}; must be only one"
+            faults.append(Fault(sentence, key, "conflict"))
 
 
 def _single_keys(changes: Mapping[str, Any]) -> set[str]:
