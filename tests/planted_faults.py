@@ -169,10 +169,10 @@ FAULTS = [
           "volume = test.log_volume + 2.0 *", "volume = test.log_volume + 1.0 *",
           "identification/scatter/test_scatter.py identification/scatter/test_clocks.py"),
     Fault("information of a next test", "identification/design/information.py",
-          "return found - np.einsum(", "return found + np.einsum(",
+          "rows, rows) - np.einsum(", "rows, rows) + np.einsum(",
           "identification/design/test_design.py::test_the_best_tests_by_brute_force"),
     Fault("next specimens", "identification/design/information.py",
-          "+ information * variances, information)", "+ information / variances, information)",
+          "+ own * scatter, own)", "+ own / scatter, own)",
           "identification/design/test_design.py::test_only_the_number_of_specimens_matters"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",

@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, counted, warning_lines
 from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.design.information import information, of_new_specimen
+from ringwear_par.identification.design.information import information
 from ringwear_par.identification.doubts import assumptions
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import direction, prior_sd
@@ -51,9 +51,8 @@ def _covariance(readings: Readings) -> FloatArray:
             )
         shares = np.where(np.isnan(setting.shares), expected, setting.shares)
         every = range(len(test.series))
-        (own,) = information(test, every, setting, shares, slope[:, None], loss)
         # tests of one specimen too are taken as if of several
-        known += of_new_specimen(own, variances)
+        known += information(test, every, setting, shares, slope[:, None], loss, variances)[0]
     return np.linalg.inv(known)
 
 

@@ -94,12 +94,10 @@ class ExperimentReader:
             keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
             self._keys[name] = keys
             case = self._case(place, keys, changes, parameters, faults)
-            if case is not None and tables:
+            if tables:
                 inputs, curves = read_inputs(place, tables, case, self._files, faults)
-                case = case.replace(curves) if curves else None
+                case = case.replace(curves) if case and curves else None
                 self._keys[name] = override(keys, curves)
-            elif tables:
-                read_inputs(place, tables, None, self._files, faults)
         groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()

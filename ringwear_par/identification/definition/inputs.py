@@ -66,16 +66,12 @@ def read_inputs(
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
-    if case is None:
-        return (), {}
     inputs = [entry for entry in read if entry is not None]
     inputs.sort(key=lambda entry: entry.of_torque)  # its friction needs the load
     for i, entry in enumerate(inputs):
-        if len(faults) > before:
-            return (), {}
-        if entry.of_torque:
+        if case is not None and entry.of_torque:
             _check_friction(place, entry, case, faults)
-        if len(faults) > before:
+        if case is None or len(faults) > before:
             return (), {}
         entry = replace(entry, radius=0.5 * sum(case.contact))
         suspicions = entry.series.suspicions + _suspicions(entry, case)
@@ -83,7 +79,7 @@ def read_inputs(
         inputs[i] = entry
         curves[entry.key] = points_of(entry.curve(case))
         case = case.replace(curves)
-    return (tuple(inputs), curves) if len(faults) == before else ((), {})
+    return tuple(inputs), curves
 
 
 def _input(

@@ -127,9 +127,9 @@ def informations(
         test = tests[number]
         if np.isfinite(slopes[number]).all():
             setting = replace(Setting.before(test, "", 0), clocks=tuple(clocks[number]))
-            loss = problem.settings.loss
-            each = information(test, series, setting, shares, slopes[number], loss)
-            matrices[:] = [of_new_specimen(matrix, before.scatter) for matrix in each]
+            matrices[:] = information(
+                test, series, setting, shares, slopes[number], problem.settings.loss, before.scatter
+            )
     return found
 
 
@@ -155,8 +155,9 @@ def information(
     shares: FloatArray,
     slopes: FloatArray,
     loss: str,
+    scatter: FloatArray,
 ) -> FloatArray:
-    """Return the information (d, m, m) in some series of a test on its own unknowns.
+    """Return the information (d, m, m) on the material in some series of a test of one specimen.
 
     Of a thermal growth the amplitude is unknown, its time as expected.
 
@@ -164,6 +165,7 @@ def information(
     ----------
     shares : (bodies,) of random wear.
     slopes : (n, d, m) derivatives of all readings of the test.
+    scatter : (m,) variances of the specimen's own values about the material's.
     """
     sd = np.concatenate([series.sd for series in test.series])
     setting = replace(setting, sd=sd / np.sqrt(_STUDENT if loss == "student" else 1.0))
@@ -174,13 +176,6 @@ def information(
     node = int(np.abs(np.log(grown.times / times)).sum(axis=1).argmin())
     taken = grown.directions(rows, np.zeros(rows.shape[1]))[node]
     rows, taken = (columns.reshape(-1, *slopes.shape[1:]) for columns in (rows, taken))
-    found: FloatArray = np.einsum("ndi,ndj->dij", rows, rows)
-    return found - np.einsum("gdi,gdj->dij", taken, taken)
-
-
-def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return the information (m, m) on the material in a test of one more specimen.
-
-    Its readings have some on its own values, which scatter about the material's by variances (m,).
-    """
-    return np.linalg.solve(np.eye(len(variances)) + information * variances, information)
+    own = np.einsum("ndi,ndj->dij", rows, rows) - np.einsum("gdi,gdj->dij", taken, taken)
+    found: FloatArray = np.linalg.solve(np.eye(own.shape[-1]) + own * scatter, own)
+    return found

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drawn import draws_of
 from laboratory import END, TRUTH, fit_tables, one_test, write_tests
-from parts import toml_text, write_draws
+from parts import StopSignals, toml_text, write_draws
 
 import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -18,7 +18,6 @@ from ringwear_par.identification.design.candidates import candidates
 from ringwear_par.identification.design.design import run_design
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.readings import growth, nuisance_columns
-from ringwear_par.results.execution.stop_signals import StopSignals
 
 K, P0 = TRUTH
 VARY = {"load.pressure": [40.0, 96.0]}
