@@ -4,15 +4,14 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ValidityWarning
+from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
@@ -89,15 +88,14 @@ def doubts(fit: "FitResult") -> list[ValidityWarning]:
     return [*(doubt for of in found for doubt in of(fit)), *assumptions(fit.problem.experiments)]
 
 
-def _merged(
-    code: str, found: Sequence[Finding], sentence: Callable[[float], str]
-) -> Iterator[ValidityWarning]:
-    """Yield one doubt about all findings, by a sentence about the worst one."""
+def _merged(code: str, found: Sequence[Finding], sentence: str) -> Iterator[ValidityWarning]:
+    """Yield one doubt about all findings, by a sentence with the size of the worst one."""
     if found:
-        worst, more = max(found), f" and {len(found) - 1} others" * (len(found) > 1)
+        worst, rest = max(found), len(found) - 1
+        more = f" and {counted(rest, 'other')}" * bool(rest)
         tests = tuple(dict.fromkeys(finding.test for finding in found))
         values = {finding.name: abs(finding.size) for finding in found}
-        text = f"{worst.name}{more}: {sentence(worst.size)}"
+        text = f"{worst.name}{more}: {sentence.format(abs(worst.size))}"
         yield ValidityWarning(code, text, (), tests, values)
 
 
@@ -153,9 +151,8 @@ def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
         for name, entry in of_test.items()
         if entry["n"] > _SEVERAL and entry["chi2"] > _HIGH * entry["n"] and "sd" not in entry
     ]
-    yield from _merged("series-does-not-fit", bad, lambda ratio: (
-        f"chi2 is {ratio:.3g} times the number of readings"
-    ))  # fmt: skip
+    text = "chi2 is {:.3g} times the number of readings"
+    yield from _merged("series-does-not-fit", bad, text)
 
 
 def _records(fit: "FitResult") -> Iterator[tuple[FittedTest, Series, slice, str]]:
@@ -181,23 +178,19 @@ def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
             axis, unit = ("r", "mm") if series.profile else ("time", "s")
             at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
             few.append(Finding(float(far.max()), name + at, owner))
-    yield from _merged("outliers", few, lambda far: (
-        f"readings are up to {far:.3g} sd off the model: check units; exclude leaves out what "
-        "belongs to an edge or a stop"
-    ))  # fmt: skip
-    yield from _merged("limits-broken", broken, lambda far: (
-        f"the model is on the wrong side of limits, by up to {far:.3g} sd; check censored and the "
-        "unit"
-    ))  # fmt: skip
+    text = "up to {:.3g} sd off the model: check units; exclude leaves out an edge or a stop"
+    yield from _merged("outliers", few, text)
+    text = "the model is up to {:.3g} sd on the wrong side of limits; check censored and units"
+    yield from _merged("limits-broken", broken, text)
 
 
 def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about records: trends, signs, growth that may be drift, curves of inputs."""
-    worn = [trend for trend in _trends(fit) if -trend.size < _NO_NOISE]
-    yield from _merged("residuals-trend", worn, lambda p: (
-        f"readings trend away from the model (p = {-p:.1g}): they differ from it by more than "
-        "noise, and intervals are too narrow"
-    ))  # fmt: skip
+    text = (
+        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
+        "and intervals are too narrow"
+    )
+    yield from _merged("residuals-trend", [f for f in _trends(fit) if -f.size < _NO_NOISE], text)
     against: list[Finding] = []
     alike: list[Finding] = []
     exclude = ""
@@ -214,14 +207,13 @@ def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
             lengths = float(series.x.max() / np.median(time))
             if lengths < _ALIKE:
                 alike.append(Finding(-lengths, name, test.experiment.name))
-    yield from _merged("readings-oppose", against, lambda _: (
+    text = (
         "apart from nuisances, readings fall where the model rises; check their sign and the "
         f"record of the test{exclude}"
-    ))  # fmt: skip
-    yield from _merged("drift-or-growth", alike, lambda lengths: (
-        f"readings over {-lengths:.2g} time constants hardly tell a drift from thermal growth; "
-        "give one a prior"
-    ))  # fmt: skip
+    )
+    yield from _merged("readings-oppose", against, text)
+    text = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
+    yield from _merged("drift-or-growth", alike, text)
     yield from input_trends(fit.problem.experiments)
 
 
@@ -260,10 +252,11 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
             if measured.smooth != "none" and p < _NO_NOISE:
                 name = f"{measured.key} ({experiment.name})"
                 found.append(Finding(-p, name, experiment.name))
-    return [*_merged("input-trend", found, lambda p: (
-        f"readings trend away from their curve (p = {-p:.1g}), which is too smooth for a jump or a "
+    text = (
+        "readings trend away from their curve (p = {:.1g}), which is too smooth for a jump or a "
         f'fast change; smooth must be a shorter time, or "none" (at most {MOST_POINTS} readings)'
-    ))]  # fmt: skip
+    )
+    return [*_merged("input-trend", found, text)]
 
 
 class Disagreement(NamedTuple):
@@ -416,12 +409,5 @@ def assumptions(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
             for sentence in series.assumptions + series.suspicions:
                 found[sentence].append(Finding(0.0, f"{series.name} ({test.name})", test.name))
-    return [
-        doubt
-        for text, of in found.items()
-        for doubt in _merged("assumed-unit", of, partial(_always, text))
-    ]
-
-
-def _always(text: str, _: float) -> str:
-    return text
+    escaped = {text.replace("{", "{{").replace("}", "}}"): of for text, of in found.items()}
+    return [d for text, of in escaped.items() for d in _merged("assumed-unit", of, text)]

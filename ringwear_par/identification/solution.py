@@ -24,10 +24,15 @@ from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
 from ringwear_par.identification.setting import needs_middle, settings_at
 
-#: draws at first; points that fill the box of an emulator and draws with true histories, a round
-_FIRST, _FILLING, _TRIED = 2048, 96, 48
-#: margin of a box, as a share of its edges
+#: draws at first; points that fill the box of an emulator, and more for each key; draws that have
+#: true histories, a round
+_FIRST, _FILLING, _A_KEY, _TRIED = 2048, 32, 16, 40
+#: margin of a box, as a share of its edges; it doubles while draws are at faces
 _MARGIN = 0.1
+#: factor by which the power may grow in a round, and power that the first round may reach
+_LEAP, _FIRST_LEAP = 100.0, 0.01
+#: sd of the error of log p that says that the draws have gone astray
+_ASTRAY = 3.0
 #: rms error of a reading, in its sd, that is good enough
 _GOOD = 0.005
 #: rounds in all, and with the whole likelihood
@@ -127,6 +132,9 @@ class _Search:
         self._known: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._likelihoods = self._at_settings()
         self._error = self._step_error = np.inf
+        self._margin = _MARGIN
+        #: power, draws and their density before the whole likelihood was taken
+        self._before = self.power, self._draws, self._density
         #: number of the test whose emulator has the largest error
         self._worst = 0
 
@@ -205,6 +213,9 @@ class _Search:
             (np.abs(self._emulators[i].box.inside(x[:, i])) > 0.97).any(axis=1).mean()
             for i in self._tests
         )
+        self._margin = 2.0 * self._margin if at_faces >= _AT_FACES else _MARGIN
+        if self._error > _ASTRAY:  # emulators know now what is there
+            self.power, self._draws, self._density = self._before
         if self._error >= _RIGHT or at_faces >= _AT_FACES:
             return False
         readings = self.readings
@@ -223,10 +234,10 @@ class _Search:
         same_as, x = readings.same_as, self._x
         members = {o: [i for i in self._tests if same_as[i] == o] for o in sorted({*same_as})}
         boxes = {
-            o: Box.about(x[:, tests].reshape(-1, layout.m), layout.low, layout.high, _MARGIN)
+            o: Box.about(x[:, tests].reshape(-1, layout.m), layout.low, layout.high, self._margin)
             for o, tests in members.items()
         }
-        filling = {o: box.design(_FILLING) for o, box in boxes.items()}
+        filling = {o: box.design(_FILLING + _A_KEY * layout.m) for o, box in boxes.items()}
         filled = dict(zip(members, readings([*filling.items()]), strict=True))
         emulators, without = {}, [np.zeros(0)] * len(same_as)
         for o, tests in members.items():
@@ -248,7 +259,10 @@ class _Search:
             for place, i in enumerate(tests):
                 without[i] = left_out[place * len(tried.x) : (place + 1) * len(tried.x)]
         true = self._log_p(tried.readings)
-        self.power = max(self.power, _trusted(true, self._log_p(without) - true, self.power))
+        trusted = _trusted(true, self._log_p(without) - true, self.power)
+        if self.power < 1.0:
+            self._before = self.power, self._draws, self._density
+        self.power = max(self.power, min(trusted, max(_LEAP * self.power, _FIRST_LEAP)))
         self._emulators = [emulators[o] for o in same_as]
         pairs = zip(self._likelihoods, self._emulators, strict=True)
         emulated = [EmulatedLikelihood(likelihood, emulator) for likelihood, emulator in pairs]
