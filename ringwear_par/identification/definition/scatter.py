@@ -4,19 +4,17 @@ Values of keys differ between specimens, batches and laboratories.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import IntArray
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     GROUPS,
-    Experiment,
     Problem,
     ProcessNoise,
     Scatter,
@@ -93,14 +91,6 @@ def read_groups(reader: TableReader, name: str) -> tuple[str, str, str]:
     return (specimen or name, batch or "", lab or "")
 
 
-def group_numbers(experiments: Sequence[Experiment], group: str) -> IntArray:
-    """Return the numbers (tests,) of the specimens, batches or laboratories of tests."""
-    place = GROUPS.index(group)
-    names = [experiment.groups[place] for experiment in experiments]
-    order = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    return np.array([order[name] for name in names])
-
-
 def check_scatter(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of the scatters to the faults."""
     name, experiments, settings = problem.name, problem.experiments, problem.settings
@@ -128,8 +118,9 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
                     f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
                     f'of "{legible(seen[specimen])}"; must be of one {group}'
                 )
+    names = {group: [e.groups[place] for e in experiments] for place, group in enumerate(GROUPS)}
     for key, group in fitted:
-        if group_numbers(experiments, group).max() == 0:
+        if len({*names[group]}) == 1:
             plural = PLURALS[group]
             faults.append(
                 f"{name}: scatter of {key} between {plural} cannot be fitted to one "
@@ -139,18 +130,11 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
         fits = [group for group, size in scatter.sizes.items() if size is None]
         for i, small in enumerate(fits):
             for large in fits[i + 1 :]:
-                if _same_groups(experiments, small, large):
+                if len({*zip(names[small], names[large], strict=True)}) == len({*names[large]}):
                     faults.append(
                         f"{name}: scatter of {key}: {large} and {small} are the same groups; "
                         'only one of the two can be "fit"'
                     )
-
-
-def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> bool:
-    """Tell whether each of the larger groups has one of the smaller ones."""
-    pairs = zip(group_numbers(experiments, small), group_numbers(experiments, large), strict=True)
-    members = list({(int(a), int(b)) for a, b in pairs})
-    return len(members) == len({b for _, b in members})
 
 
 def read_process(place: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
