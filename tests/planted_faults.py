@@ -199,10 +199,10 @@ FAULTS = [
           "return values[::-1].reshape(-1, *values.shape[2:])",
           "identification/test_fit_folder.py -k read_as"),
     Fault("information of a next test", "identification/design/information.py",
-          "return information - np.einsum(", "return information + np.einsum(",
+          "rows, rows) - np.einsum(", "rows, rows) + np.einsum(",
           "identification/design/test_design.py::test_the_best_tests_by_brute_force"),
     Fault("next specimens", "identification/design/information.py",
-          "np.diag(1.0 / variances[some])", "np.diag(variances[some])",
+          "+ own * scatter, own)", "+ own / scatter, own)",
           "identification/design/test_design.py::test_only_the_number_of_specimens_matters"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",

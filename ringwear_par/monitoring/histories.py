@@ -76,7 +76,7 @@ class Histories:
         """
         (test,), bodies = problem.experiments, len(problem.settings.process)
         plan, middle = _plan(test), np.median(x, axis=0)
-        readings.problem = problem.with_experiments((plan,))
+        readings.problem = replace(problem, experiments=(plan,))
         settings = [Setting.before(plan, "", bodies)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _SHARE)

@@ -254,7 +254,7 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
         growth = -3e-3 * (1.0 - np.exp(-times / max(20.0 + 7.0 * random.standard_normal(), 4.0)))
         sd = np.full(60, 2e-4)
         series = replace(test.series[0], x=times, value=z + growth, sd=sd, lines=None)
-        return monitor.answer(problem.with_experiments((replace(test, series=(series,)),)))
+        return monitor.answer(replace(problem, experiments=(replace(test, series=(series,)),)))
 
     for seed in range(20):
         k = MATERIAL * np.exp(np.hypot(0.1, TAU) * random.standard_normal())
@@ -277,9 +277,9 @@ def test_readings_in_one_portion_or_many(folder):
     fresh = monitor_of(problem, draws, 5e-3).answer(problem)
     monitor = monitor_of(problem, draws, 5e-3)
     other = replace(test.series[0], value=0.7 * test.series[0].value)
-    monitor.answer(problem.with_experiments((replace(test, series=(other,)),)))
+    monitor.answer(replace(problem, experiments=(replace(test, series=(other,)),)))
     for until in (1.0, 17.0, 40.0, 41.0, END):
-        part = problem.with_experiments((part_of(test, times_of(test) <= until),))
+        part = replace(problem, experiments=(part_of(test, times_of(test) <= until),))
         if part.experiments[0].series:
             answer = monitor.answer(part)
     assert json.dumps(answer) == json.dumps(fresh)
