@@ -91,7 +91,7 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
             replace(test, series=tuple(_few(series, test.case.time.end) for series in test.series))
             for test in problem.experiments
         ]
-        problem = problem.with_experiments(tuple(tests))
+        problem = replace(problem, experiments=tuple(tests))
     readings = Readings(problem, comm, signals)
 
     def lead() -> FitResult:
