@@ -1,14 +1,15 @@
-"""Coordinates in which specimens' values and the sizes of their scatter are easy to draw.
+"""Coordinates in which keys, specimens' values and the sizes of their scatter are easy to draw.
 
-Where the scatter is small, specimens' values are near each other, where it is large, each is near
-its own estimate: a funnel, which samplers hardly enter. Contrasts y of the specimens, of all keys
-that scatter, have a precision P and a mean by their readings alone, 0 and the covariance T of the
-scatter by that alone, and
+Where keys are correlated the draws are bent, as those of k and p0 of one load: what the others are
+by the longest one, a polynomial, is taken out of them. And where the scatter is small, specimens'
+values are near each other, where it is large, each is near its own estimate: a funnel, which
+samplers hardly enter. Contrasts y of the specimens, of all keys that scatter, have a precision P
+and a mean by their readings alone, 0 and the covariance T of the scatter by that alone, and
 
     y = M b + S w,   M = S S' = (T^-1 + P)^-1
 
-by both: w is about standard normal whatever T is (Papaspiliopoulos, Roberts and Skold 2007). This
-is a change of variables: what is drawn does not depend on b and P.
+by both: w is about standard normal whatever T is (Papaspiliopoulos, Roberts and Skold 2007). Both
+are changes of variables: what is drawn does not depend on the polynomial, b and P.
 """
 
 from collections import defaultdict
@@ -22,6 +23,8 @@ from ringwear_par.identification.posterior import Layout, Scattering
 
 #: share of the draws, those of the largest scatter, that tell specimens' own values
 _LARGE = 0.25
+#: degree of the polynomial, and parts of its range that count alike
+_DEGREE, _PARTS = 5, 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +56,30 @@ class Funnel:
         for scattering in layout.scatterings:
             groups[scattering.group.tobytes()].append(scattering)
         self._parts = [_contrasts(tuple(keys), draws) for keys in groups.values()]
+        flat = self._upright(draws)
+        self._mean, self._sd = flat.mean(axis=0), np.maximum(flat.std(axis=0), 1e-300)
+        scaled = (flat - self._mean) / self._sd
+        longest = np.linalg.svd(scaled, full_matrices=False)[2][0]
+        self._pivot = int(np.argmax(np.abs(longest)))
+        self._ends = scaled[:, self._pivot].min(), scaled[:, self._pivot].max()
+        # as many draws count where they are rare, in the tails, as elsewhere
+        along = scaled[:, self._pivot]
+        part = np.digitize(along, np.linspace(*self._ends, _PARTS))
+        rare = np.bincount(part)[part][:, None] ** -0.5
+        self._bend = np.linalg.lstsq(rare * self._powers(flat), rare * flat, rcond=None)[0]
+        self._bend[:, self._pivot] = 0.0
+
+    def _powers(self, flat: FloatArray) -> FloatArray:
+        """Return powers (s, 6) of the longest coordinate, within its range among the draws."""
+        scaled = (flat[:, self._pivot] - self._mean[self._pivot]) / self._sd[self._pivot]
+        return np.vander(np.clip(scaled, *self._ends), _DEGREE + 1)
 
     def flat(self, theta: FloatArray) -> FloatArray:
+        """Return the coordinates (s, d) of theta (s, d)."""
+        upright = self._upright(theta)
+        return upright - self._powers(upright) @ self._bend
+
+    def _upright(self, theta: FloatArray) -> FloatArray:
         """Return theta (s, d) with w in place of contrasts."""
         out = theta.copy()
         for part in self._parts:
@@ -66,6 +91,7 @@ class Funnel:
 
     def theta(self, flat: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return theta (s, d) of what ``flat`` returns, and the log of the volume's change (s,)."""
+        flat = flat + self._powers(flat) @ self._bend
         out, volume = flat.copy(), np.zeros(len(flat))
         for part in self._parts:
             mean, root = part.moments(flat)

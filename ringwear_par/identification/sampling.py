@@ -11,20 +11,18 @@ from scipy.stats import multivariate_t
 
 from ringwear_par.arrays import FloatArray
 
-#: walkers, at least so many for each dimension
-_WALKERS, _A_DIMENSION = 256, 4
+#: walkers, for each dimension and most: many are in all parts of a density, where they hardly move
+_A_DIMENSION, _WALKERS = 128, 1024
 #: steps between two looks; between two states that are kept; most of all
 _STEPS, _THIN, _MOST_STEPS = 100, 5, 6000
-#: correlation times of a chain that is long enough
-_LONG = 20.0
-#: steps of a density that only leads to the next one
-_SHORT = 30
+#: steps of a density that only leads to the next one: fewest, for each dimension, and most
+_SHORT, _EACH_SHORT, _MOST_SHORT = 30, 8, 60
 #: share of the draws that must count for a density that is drawn from them
 _COUNT = 0.25
 #: most draws that are kept
 _KEPT = 20_000
-#: draws from which a nearby density is made, where they are cut, and fewest in a part, by dimension
-_LIKELY, _CUTS, _A_PART = 4096, (0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0), 5
+#: where draws are cut for a nearby density, and fewest in a part, by dimension
+_CUTS, _A_PART = (0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0), 5
 #: draws for an integral
 _EVIDENCE_DRAWS = 8192
 
@@ -69,6 +67,19 @@ class Nearby:
         return density
 
 
+class _Differences(emcee.moves.RedBlueMove):  # type: ignore[misc]
+    """Moves by differences of other walkers, of changing length (ter Braak 2006)."""
+
+    def get_proposal(
+        self, s: FloatArray, c: list[FloatArray], random: np.random.RandomState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where walkers (w, d) are to go, with the logs of factors (w,)."""
+        others, (count, d) = np.concatenate(c), s.shape
+        a, b = others[random.randint(len(others), size=(2, count))]
+        length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.3 * random.standard_normal((count, 1)))
+        return s + length * (a - b), np.zeros(count)
+
+
 def draw(
     log_p: Callable[..., FloatArray],
     draws: FloatArray,
@@ -102,17 +113,14 @@ def draw(
             if effective > _COUNT * len(draws):
                 break
         power = best[1]
-        walkers = max(_WALKERS, _A_DIMENSION * draws.shape[1])
-        chance = (weights + 1e-9 * good) / (weights + 1e-9 * good).sum()
-        # a start that is not drawn twice, as far as there are enough
-        start = draws[
-            random.choice(len(draws), walkers, np.count_nonzero(chance) < walkers, chance)
-        ]
+        # each as often as its weight says, to one
+        walkers = min(_A_DIMENSION * draws.shape[1], _WALKERS)
+        places = (random.random() + np.arange(walkers)) / walkers
+        chosen = np.searchsorted(np.cumsum(weights / weights.sum()), places)
+        start = draws[np.minimum(chosen, len(draws) - 1)]
         last = power >= most
-        # draws of this power, as far as those there are know it
-        likely = draws[random.choice(len(draws), min(len(draws), _LIKELY), True, chance)]
         at_power = partial(log_p, power=power)
-        draws, old, effective = sample(at_power, start, Nearby(likely), random, want * last)
+        draws, old, effective = sample(at_power, start, Nearby(start), random, want * last)
     return draws, old, effective
 
 
@@ -141,21 +149,20 @@ def sample(
         return new, nearby.log_density(x) - nearby.log_density(new)
 
     moves = [
-        (emcee.moves.MHMove(anywhere), 0.4), (emcee.moves.DEMove(), 0.45),
+        (emcee.moves.MHMove(anywhere), 0.4), (_Differences(), 0.45),
         (emcee.moves.StretchMove(), 0.15),
     ]  # fmt: skip
     sampler = emcee.EnsembleSampler(walkers, d, log_p, moves=moves, vectorize=True)
     sampler.random_state = np.random.RandomState(int(random.integers(2**31))).get_state()
     state = emcee.State(start)
     while True:
-        steps = _STEPS if want else _SHORT
+        steps = _STEPS if want else min(max(_SHORT, _EACH_SHORT * d), _MOST_SHORT)
         state = sampler.run_mcmc(state, steps, thin_by=1, skip_initial_state_check=True)
         chain = sampler.get_chain()[_THIN - 1 :: _THIN]
         time = correlation_time(chain)
         first = min(int(2.0 * time), len(chain) // 2)
         effective = (len(chain) - first) * walkers / max(time, 1.0)
-        done = len(chain) > _LONG * time and effective > want
-        if not want or done or sampler.iteration >= _MOST_STEPS:
+        if effective > want or not want or sampler.iteration >= _MOST_STEPS:
             break
     logs = sampler.get_log_prob()[_THIN - 1 :: _THIN]
     every = max(1, int(time / 4.0), (len(chain) - first) * walkers // _KEPT)

@@ -97,9 +97,9 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
                 break
         search.emulate(tried)
         search.draw(_SOME * (search.power == 1.0))
-    if search.effective < _WANTED or search.power < 1.0:
-        readings.tell("draws of the posterior")
-        search.draw(_WANTED)
+    # draws so far tell coordinates and neighbourhoods in which these are easy
+    readings.tell("draws of the posterior")
+    search.draw(_WANTED)
     return search.solution()
 
 
