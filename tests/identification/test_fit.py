@@ -143,8 +143,8 @@ def test_wear_hides_behind_a_drift(tables, comm):
     (one, _), given["experiment"] = given["experiment"], given["experiment"][:1]
     one["set"] |= {P0: 25.0}
     del one["data"][1]
-    one["data"][0] |= {"sd": 0.5, "nuisance": {"offset": {}, "drift": {}}}
-    given["fit"]["parameters"] = {K: {"start": 1.3e-7, "bounds": [1e-7, 1.6e-7]}}
+    one["data"][0] |= {"sd": 0.2, "nuisance": {"offset": {}, "drift": {}}}
+    given["fit"]["parameters"] = {K: {"start": 1.3e-7, "bounds": [5e-8, 2.1e-7]}}
     (k,) = rw.fit(given, comm).parameters
     assert k.verdict == "not identified"
     assert k.direction == "wear.lower.k against drift of penetration (test 1)"

@@ -136,7 +136,7 @@ def test_groups_are_those_of_arviz(of_specimens, specimens):
     rows = slice(first, first + len(test.data))
     np.testing.assert_array_equal(observed[rows], test.data)
     off = (replicas[:, rows] - test.data) / replicas[:, rows].std(axis=0)
-    assert np.abs(off.mean(axis=0)).max() < 1.5
+    assert np.abs(off.mean(axis=0)).max() < 2.5
     # the covariance of all that is random, of the share that is likeliest
     emulated = specimens.solution.posterior.likelihoods[number]
     likelihood, (record, weighing) = emulated.likelihood, test.experiment.series

@@ -88,7 +88,7 @@ def test_a_drift_is_much_like_growth(warm):
 @pytest.mark.parametrize("nuisance", ["thermal", "offset"])
 def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
     known = {"offset": {}} | ({"thermal": THERMAL} if nuisance == "thermal" else {})
-    problem = read_fit(warm(known, -90.0))
+    problem = read_fit(warm(known, -150.0))
     with StopSignals() as signals:
         readings = Readings(problem, MPI.COMM_SELF, signals)
         if nuisance == "offset":

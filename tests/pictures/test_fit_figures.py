@@ -86,7 +86,7 @@ def test_densities_and_pairs_are_those_of_the_draws(found):
     outcome["parameters"]["wear.lower.k"] |= {"verdict": "at bound", "interval": [None, high]}
     ((limited,), _) = key_panels.fitted_keys(outcome, draws)
     assert len(limited.curves) == 2
-    assert [label.text for label in limited.labels] == ["at bound"]
+    assert [label.words for label in limited.labels] == ["at bound"]
 
 
 def test_long_tests_are_drawn_in_hours(found):
