@@ -101,26 +101,14 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
 
 
 def _readings(problem: Problem) -> list[str]:
-    """Return a line of each kind of readings: how many, of how many tests, and their noise."""
-    kinds: dict[tuple[str, str, bool], list[tuple[str, int, float]]] = defaultdict(list)
+    """Return a line of each kind of readings: how many, and of how many tests."""
+    found: dict[str, list[int]] = defaultdict(list)
     for test in problem.experiments:
-        for series in test.series:
-            spread = float(np.median(series.sd)) / series.factor
-            kind = series.quantity, series.unit, series.sd_fitted
-            kinds[kind].append((test.name, series.n, spread))
+        for name in dict.fromkeys(series.quantity for series in test.series):
+            found[name].append(sum(s.n for s in test.series if s.quantity == name))
         for measured in test.inputs:
-            kinds[f"{measured.key} as measured", measured.series.unit, False].append(
-                (test.name, measured.series.n, 0.0)
-            )
-    lines = []
-    for (name, unit, fitted), found in kinds.items():
-        tests = len({test for test, _, _ in found})
-        low, high = (of(spread for _, _, spread in found) for of in (min, max))
-        noise = (
-            f", noise {low:.3g}" + f" to {high:.3g}" * (f"{high:.3g}" != f"{low:.3g}") + f" {unit}"
-        )
-        text = f"  {name}: {counted(sum(n for _, n, _ in found), 'reading')} of "
-        lines.append(
-            text + counted(tests, "test") + noise * (high > 0.0) + " (to be fitted)" * fitted
-        )
-    return lines
+            found[f"{measured.key} as measured"].append(measured.series.n)
+    return [
+        f"  {name}: {counted(sum(counts), 'reading')} of {counted(len(counts), 'test')}"
+        for name, counts in found.items()
+    ]

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.files.folders import (
     CURVES,
     ESTIMATES,
@@ -24,11 +25,7 @@ from ringwear_par.files.folders import (
 from ringwear_par.identification.definition.problem import BASE, body_of_wear
 from ringwear_par.identification.draws import write_draws
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_tests import (
-    local_squares,
-    marginal_log_p,
-    readings_of_draws,
-)
+from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -88,25 +85,15 @@ def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, lis
 
 def _log_p_of_tests(fit: FitResult) -> FloatArray:
     """Return log p (s, tests) of the readings of each test, given the material and its scatter."""
-    draws, posterior = fit.draws, fit.solution.posterior
-    scatters = [s.key for s in posterior.scatterings]
-    variances = np.zeros((len(draws), len(scatters)))
+    draws, problem, depths = fit.draws, fit.problem, fit.solution.depths
+    variances = np.zeros_like(draws.material)
     for (key, _), sd in draws.scatter.items():
-        variances[:, scatters.index(draws.keys.index(key))] += sd**2
-    # by rows that are in the order of draws
-    depths = fit.solution.depths
-    bodies = [body_of_wear(key) for key in fit.problem.settings.process]
-    sizes = draws.process[:, [("lower", "upper").index(body) for body in bodies]]
-    shares = np.sqrt(sizes / depths) if len(depths) else np.zeros((len(draws), 0))
-    logs = []
-    for i, likelihood in enumerate(posterior.likelihoods):
-        x = draws.tests[:, i]
-        information = np.diag(fit.squares[i].information[0])[scatters]
-        sd = np.maximum(information, 1e-12) ** -0.5
-        squares = local_squares(likelihood, x, shares, scatters, sd)
-        off = draws.material[:, scatters] - x[:, scatters]
-        logs.append(marginal_log_p(squares, off, variances))
-    return np.stack(logs, axis=1)
+        variances[:, draws.keys.index(key)] += sd**2
+    bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
+    shares = np.sqrt(draws.process[:, bodies] / depths)
+    return log_p_of_tests(
+        fit.solution.posterior, draws.tests, draws.material, np.sqrt(variances), shares
+    )
 
 
 def _write(file: h5py.File, fit: FitResult) -> None:

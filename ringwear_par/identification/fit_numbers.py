@@ -56,43 +56,31 @@ def specific_wear_rate(
     The values (s, m) are draws of the keys.
     """
     body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
-    share = _share_of_friction(problem, body, entries) if body in BODIES else None
-    if share is None:
+    threshold = entries.get(f"wear.{body}.p0", {}).get("estimate")
+    cases = [experiment.case for experiment in problem.experiments]
+    shares = {_share(case, body, threshold) for case in cases} if body in BODIES else {None}
+    (share, *others) = shares
+    if share is None or others:
         return None
-    scale, i = share / factor(SPECIFIC, None), problem.keys.index(key)
-    estimate = scale * entry["estimate"]
-    rate: dict[str, Any] = {"unit": SPECIFIC, "estimate": estimate}
-    rate["interval"] = [None if end is None else scale * end for end in entry["interval"]]
-    rate["sd"] = scale * entry["sd"]
+    unit = factor(SPECIFIC, None)
+    if share == 1.0 or _FRICTION not in problem.keys:
+        ends = [None if end is None else share * end / unit for end in entry["interval"]]
+        estimate, sd = (share * entry[name] / unit for name in ("estimate", "sd"))
+    else:
+        share = float(entries[_FRICTION]["estimate"])
+        products = values[:, problem.keys.index(key)] * values[:, problem.keys.index(_FRICTION)]
+        level, (estimate, sd) = problem.settings.level, (np.median(products), products.std())
+        tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
+        ends = (np.quantile(products, tails) / unit).tolist()
+        estimate, sd = float(estimate) / unit, float(sd) / unit
+    rate = {"unit": SPECIFIC, "estimate": estimate, "sd": sd, "interval": ends}
     if share != 1.0:
         rate["mu"] = share
-        if _FRICTION in problem.keys:
-            products = values[:, i] * values[:, problem.keys.index(_FRICTION)]
-            products = products / factor(SPECIFIC, None)
-            estimate = rate["estimate"] = float(np.median(products))
-            rate["sd"] = float(products.std())
-            level = problem.settings.level
-            ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)])
-            rate["interval"] = ends.tolist()
-    rate[CUSTOMARY] = estimate * factor(SPECIFIC, None) / factor(CUSTOMARY, None)
-    return rate
-
-
-def _share_of_friction(problem: Problem, body: str, entries: Mapping[str, Entry]) -> float | None:
-    """Return the factor of a body's k, mu or 1; None where k is no such coefficient."""
-    cases = [experiment.case for experiment in problem.experiments]
-    threshold = entries.get(f"wear.{body}.p0")
-    shares = {_share(case, body, None if threshold is None else threshold["estimate"])
-              for case in cases}  # fmt: skip
-    if len(shares) != 1:
-        return None
-    (share,) = shares
-    if share not in (None, 1.0) and _FRICTION in entries:
-        return float(entries[_FRICTION]["estimate"])
-    return share
+    return {**rate, CUSTOMARY: estimate * unit / factor(CUSTOMARY, None)}
 
 
 def _share(case: Case, body: str, threshold: float | None) -> float | None:
+    """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
     law, mu = getattr(case, f"wear_{body}"), case.friction
     if not isinstance(mu, float) or not isinstance(getattr(law, "k", None), float):
         return None
@@ -116,7 +104,6 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "p_value": fit.p_value,
         "flagged": fit.flagged,
         "aic": fit.aic,
-        "bic": fit.bic,
         "log_evidence": solution.log_evidence,
         "evidence": {"log": solution.log_evidence, "error": solution.evidence_error},
         "specimens": len({test.groups[0] for test in problem.experiments}),

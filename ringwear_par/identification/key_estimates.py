@@ -1,7 +1,6 @@
 """What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -219,33 +218,18 @@ def direction(
     parameters = problem.parameters
     size = np.array([prior_sd(p) for p in parameters])
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    weakest = values[np.argmax(vectors[j] ** 2 * values)]
-    part = vectors[:, values > _VAGUE**2 * weakest]
-    weak = part @ part.T
-    taking = np.flatnonzero(np.abs(weak[j]) > _MENTIONED * np.abs(weak[j]).max()).tolist()
+    weak = vectors[:, np.argmax(vectors[j] ** 2 * values)]
+    taking = np.flatnonzero(np.abs(weak) > _MENTIONED * np.abs(weak).max()).tolist()
     others = [parameters[i].key for i in taking if i != j]
+    if len(taking) == 2 and others and all(parameters[i].log for i in taking):
+        (first, one), (second, two) = sorted((parameters[i].key, weak[i] * size[i]) for i in taking)
+        # of the product whose logarithm does not change along the weak direction
+        power = -one / two
+        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
+        return f"only {first} {'x' if power > 0 else '/'} {second}{exponent} is known"
     if nuisances:
         name = max(nuisances, key=lambda name: abs(nuisances[name]))
         others += [name] * (abs(nuisances[name]) > _TOGETHER)
     if not others:
         return f"the readings hardly respond to {parameters[j].key}"
-    if len(others) < len(taking) and all(parameters[i].log for i in taking):
-        within, axes = np.linalg.eigh(weak[np.ix_(taking, taking)])
-        strong = axes[:, within < 0.5]
-        if strong.shape[1] == 1:
-            powers = strong[:, 0] / size[taking]
-            return f"only {_product([parameters[i].key for i in taking], powers)} is known"
-        return f"only products of {', '.join(sorted(parameters[i].key for i in taking))} are known"
-    listed = [", ".join(others[:-1]), others[-1]] if others[1:] else others
-    return f"{parameters[j].key} against {' and '.join(listed)}"
-
-
-def _product(keys: Sequence[str], powers: FloatArray) -> str:
-    """Return the product of powers of keys, that of the first by name being 1."""
-    named = sorted(zip(keys, powers.tolist(), strict=True))
-    words = [named[0][0]]
-    for name, power in named[1:]:
-        power /= named[0][1]
-        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
-        words.append(f"{'x' if power > 0 else '/'} {name}{exponent}")
-    return " ".join(words)
+    return f"{parameters[j].key} against {' and '.join(others)}"
