@@ -23,7 +23,7 @@ from ringwear_par.identification.posterior import Posterior
 #: step of differences of log p, in the sd of an unknown
 _STEP = 0.02
 #: values of the next specimen over which the likelihood of a test is averaged
-_SPECIMENS = 64
+_SPECIMENS = 32
 #: sd of these about those that the readings tell, over the sd of the latter
 _WIDER = 1.5
 
@@ -229,7 +229,7 @@ def log_p_of_tests(
     """Return log p (s, tests) of the readings of each test, whatever its own values are.
 
     The likelihood is averaged over values that the next specimen may have, drawn about those that
-    the readings of the test tell.
+    the readings of the test tell beside the keys that do not scatter.
 
     Parameters
     ----------
@@ -241,12 +241,15 @@ def log_p_of_tests(
     normal = norm.ppf(qmc.Sobol(len(keys), seed=0).random(_SPECIMENS))
     logs = np.empty((len(x), len(posterior.likelihoods)))
     for i, emulated in enumerate(posterior.likelihoods):
-        root = _WIDER * np.linalg.cholesky(np.atleast_2d(np.cov(x[:, i, keys].T)))
+        own, others = x[:, i, keys], np.delete(x[:, i], keys, axis=1)
+        others = np.column_stack([np.ones(len(x)), others])
+        centre = others @ np.linalg.lstsq(others, own, rcond=None)[0]
+        root = _WIDER * np.linalg.cholesky(np.atleast_2d(np.cov((own - centre).T)))
         volume = float(np.log(np.diag(root)).sum())
         each = []
         for z in normal:
             points = x[:, i].copy()
-            points[:, keys] = x[:, i, keys].mean(axis=0) + root @ z
+            points[:, keys] = centre + root @ z
             off = (points - material)[:, keys] / sd[:, keys]
             prior = -0.5 * np.square(off).sum(axis=1) - np.log(sd[:, keys]).sum(axis=1)
             log_p = emulated(emulated.emulator.coordinates(points), shares)

@@ -9,7 +9,12 @@ from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import FittedParameter, Problem, reflected
+from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    FittedParameter,
+    Problem,
+    reflected,
+)
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
 
@@ -126,49 +131,48 @@ def _scatter(
 ) -> dict[str, Any]:
     """Return what fit.json tells of a key that scatters, by the unknown of the material (s,)."""
     theta, problem = solution.theta, solution.problem
-    level, tests = problem.settings.level, problem.experiments
+    tests, level = problem.experiments, problem.settings.level
     assert parameter.scatter is not None
-    bounds = tuple(map(parameter.unknown, parameter.bounds))
-    entry: dict[str, Any] = {"of": "material", "scatter": {}}
-    squares: dict[str, FloatArray] = {}
-    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
-    for number, name in enumerate(s.levels):
-        sizes = s.size(theta, number)
-        groups = int(np.unique(s.same[number], axis=0).shape[0])
+    sizes = {name: s.size(theta, number) for number, name in enumerate(s.levels)}
+    scatter: dict[str, dict[str, Any]] = {}
+    for number, (name, size) in enumerate(sizes.items()):
         if s.sizes[number] is None:
-            found: dict[str, Any] = {"known": s.known[number], "groups": groups}
+            scatter[name] = {"known": s.known[number]}
         else:
-            verdict, _ = judged(sizes, 0.0, np.inf, parameter.scatter.scale, level)
-            found = {"estimate": float(np.median(sizes)), "verdict": verdict, "groups": groups,
-                     "interval": np.quantile(sizes, tails).tolist()}  # fmt: skip
-        entry["scatter"][name] = found
-        squares[name] = sizes**2
+            verdict, _ = judged(size, 0.0, np.inf, parameter.scatter.scale, level)
+            scatter[name] = {**_quantiles(size, level), "verdict": verdict}
+        scatter[name]["groups"] = int(np.unique(s.same[number], axis=0).shape[0])
     spread = s.spread(theta)
+    following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
+    bounds = map(np.array, map(parameter.unknown, parameter.bounds))
+    following = _quantiles(reflected(following, *bounds), level, parameter)["interval"]
+    entry: dict[str, Any] = {"of": "material", "scatter": scatter, "next": following, "each": {}}
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
-    following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
-    ends = np.quantile(reflected(following, *map(np.array, bounds)), tails)
-    entry["next"] = [parameter.value(end) for end in ends.tolist()]
     total = float(np.median(spread))
-    if "specimen" in squares:
-        size = float(np.sqrt(np.median(squares["specimen"])))
-        entry["repeatability"] = {"s_r": size, "r": 2.8 * size}
-    if len(squares) > ("specimen" in squares):
+    if "specimen" in sizes:
+        s_r = float(np.median(sizes["specimen"]))
+        entry["repeatability"] = {"s_r": s_r, "r": 2.8 * s_r}
+    if len(sizes) > ("specimen" in sizes):
         entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
-    finest = min(s.levels, key=("specimen", "batch", "lab").index)
-    place = ("specimen", "batch", "lab").index(finest)
-    entry["each"] = {}
+    place = min(map(GROUPS.index, s.levels))
     for number, values in enumerate(theta[:, s.places].T):
         name = tests[int(np.argmax(s.group == number))].groups[place]
-        ends = np.quantile(values, tails)
-        entry["each"][name] = {
-            "estimate": parameter.value(float(np.median(values))),
-            "sd": float((np.exp(values) if parameter.log else values).std()),
-            "interval": [parameter.value(end) for end in ends.tolist()],
-        }
+        sd = float((np.exp(values) if parameter.log else values).std())
+        entry["each"][name] = {**_quantiles(values, level, parameter), "sd": sd}
     wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
     entry["specimens_for_10_percent"] = _specimens(wanted, math.hypot(total, own), level)
     return entry
+
+
+def _quantiles(
+    draws: FloatArray, level: float, parameter: FittedParameter | None = None
+) -> dict[str, Any]:
+    """Return the median of draws (s,), those of unknowns as values, and their interval."""
+    tail = 0.5 * (1.0 - level)
+    found = np.quantile(draws, [tail, 0.5, 1.0 - tail]).tolist()
+    low, median, high = found if parameter is None else map(parameter.value, found)
+    return {"estimate": median, "interval": [low, high]}
 
 
 def _specimens(wanted: float, sd: float, level: float) -> int | None:
@@ -183,7 +187,6 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     entries, posterior = {}, solution.posterior
     level = solution.problem.settings.level
     shares = posterior.shares(solution.theta, posterior.known)
-    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
     for body, (key, process) in enumerate(solution.problem.settings.process.items()):
         share, depth = shares[:, body], float(solution.depths[body])
         if not process.fitted:
@@ -192,16 +195,14 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
             entries[key] = {"size": {"known": size}, "share": {"known": known},
                             "depth": depth, "verdict": "identified"}  # fmt: skip
             continue
-        low, high = np.quantile(share, tails).tolist()
-        before = student_t.ppf(0.5 + 0.5 * np.array(tails), 4)
+        found = _quantiles(share, level)
+        low, high = found["interval"]
+        before = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)
         narrow = math.log(high / low) < _VAGUE * math.log(before[1] / before[0])
-        middle = float(np.median(share))
         entries[key] = {
-            "size": {"estimate": middle**2 * depth, "interval": [low**2 * depth, high**2 * depth]},
-            "share": {"estimate": middle, "interval": [low, high]},
-            "depth": depth,
+            "size": _quantiles(share**2 * depth, level), "share": found, "depth": depth,
             "verdict": "identified" if narrow else "not identified",
-        }
+        }  # fmt: skip
     return entries
 
 
