@@ -4,7 +4,7 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,12 +21,8 @@ from ringwear_par.identification.record_checks import trend
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
 
-#: fewest readings of a record
-_SEVERAL = 5
 #: sd above which readings do not belong to the others; the largest share of such readings
 _FAR, _SHARE = 6.0, 0.1
-#: correlation of two keys above which a bound of one is what the other is known by
-_CONDITIONAL = 0.87
 #: probabilities below which differences between tests, or blocks of residuals, are not by chance
 _NO_CHANCE, _NO_NOISE = 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
@@ -109,31 +105,11 @@ def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
         keys = tuple(key for key in lost if entries[key]["direction"] == words)
         text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
         yield ValidityWarning("not-identified", text, keys)
-    for key, other, correlation in conditions(fit):
-        text = (
-            f"{key} is identified only by the bound {bound_of(entries[other]):g} of {other}: "
-            f"they are correlated by {correlation:+.2f}"
-        )
-        values = {"correlation": correlation}
-        yield ValidityWarning("conditional-verdict", text, (key, other), (), values)
-
-
-def bound_of(entry: Mapping[str, Any]) -> float:
-    """Return the bound at which a key is, by its entry in fit.json."""
-    return float(entry["bounds"][0 if entry["interval"][0] is None else 1])
-
-
-def conditions(fit: "FitResult") -> list[tuple[str, str, float]]:
-    """Return keys that are identified by the bound of another key, that, and their correlation."""
-    keys, table = [*fit.entries], np.atleast_2d(np.corrcoef(fit.draws.material.T))
-    return [
-        (key, other, float(table[i, j]))
-        for i, key in enumerate(keys)
-        for j, other in enumerate(keys)
-        if fit.entries[key]["verdict"] == "identified"
-        and fit.entries[other]["verdict"] == "at bound"
-        and abs(table[i, j]) > _CONDITIONAL
-    ]
+    for key, entry in entries.items():
+        for other in entry.get("conditional_on", ()):
+            bound = entries[other]["bounds"][entries[other]["interval"][0] is not None]
+            text = f"{key} is identified only by the bound {bound:g} of {other}"
+            yield ValidityWarning("conditional-verdict", text, (key, other))
 
 
 def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
@@ -288,27 +264,14 @@ def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
         if entry["verdict"] != "identified":
             text = f"wear of {body}: intervals hold what was assumed of wear's own noise before"
             yield ValidityWarning("process-from-prior", text, (key,))
-        if coarse_wear(fit, key):
-            size = entry["size"].get("estimate", entry["size"].get("known"))
+        size, between = entry["size"], entry["between_readings"]
+        events = size.get("estimate", size.get("known"))
+        if between is not None and events > between:
             text = (
-                f"wear of {body} comes in events of {1e6 * size:.3g} nm, more than is worn between "
-                "two readings: intervals of their size are not right"
+                f"wear of {body} comes in events of {1e6 * events:.3g} nm, more than is worn "
+                "between two readings: intervals of their size are not right"
             )
             yield ValidityWarning("coarse-wear", text, (key,))
-
-
-def coarse_wear(fit: "FitResult", key: str) -> bool:
-    """Tell whether events of random wear are larger than what is worn between two readings."""
-    body, size, solution = [*fit.process].index(key), fit.process[key]["size"], fit.solution
-    clocks = [one.likelihood.setting.clocks[body][1] for one in solution.posterior.likelihoods]
-    steps = [
-        solution.depths[body] * np.diff(np.unique(depth[part]))
-        for test, depth in zip(fit.tests, clocks, strict=True)
-        for series, part in test.records
-        if series.n > _SEVERAL and not series.profile
-    ]
-    between = float(np.median(np.concatenate(steps))) if steps else np.inf
-    return float(size.get("estimate", size.get("known"))) > between
 
 
 def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:

@@ -14,15 +14,13 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.scatter import expected_sizes, known_sizes
 from ringwear_par.identification.doubts import assumptions
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.key_estimates import direction, prior_sd
+from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
 from ringwear_par.identification.likelihood import Setting, TestLikelihood
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import settings_at
-from ringwear_par.identification.summary import digits_of, limits, number
+from ringwear_par.identification.summary import KeyRow
 from ringwear_par.results.execution.stop_signals import StopSignals
 
-#: share of the prior's sd above which a key would not be identified
-_VAGUE = 0.5
 #: variance of readings of normal noise over that of the loss "student" that tells as much
 _STUDENT = 5.0 / 7.0
 
@@ -80,18 +78,18 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
     for j, parameter in enumerate(problem.parameters):
         sd, scale = float(np.sqrt(covariance[j, j])), unit_scale(parameter)
         unit = parameter.unit or units[parameter.key]
-        at = parameter.unknown(parameter.start)
+        unit = "" if unit in ("1", "-") else unit
+        at, (low, high) = parameter.unknown(parameter.start), bounds[:, j]
         ends = [at - reach * sd, at + reach * sd]
-        low, high = bounds[:, j]
         interval = [parameter.value(end) / scale if low < end < high else None for end in ends]
-        text = f"{number(parameter.start / scale)} {'' if unit in ('1', '-') else unit}".rstrip()
-        of = " of the material" * (parameter.scatter is not None)
-        if sd > _VAGUE * prior_sd(parameter):
+        row = KeyRow(
+            parameter.key, parameter.start / scale, sd, unit * (unit not in ("1", "-")), interval
+        )
+        words = f"{row.ends} ({100 * level:g} %)"
+        if sd > VAGUE * prior_sd(parameter):
             words = f"would not be identified: {direction(problem, covariance, j)}"
-        else:
-            digits = digits_of(parameter.start / scale, interval)
-            words = f"{limits(interval, digits)} ({100 * level:g} %)"
-        lines.append(f"  {parameter.key.ljust(width)}  {text}{of}  {words}")
+        of = " of the material" * (parameter.scatter is not None)
+        lines.append(f"  {row.label.ljust(width)}  {row.value}{of}  {words}")
     specimens = len({test.groups[0] for test in problem.experiments})
     lines += [f"  {line}" for line in known_sizes(problem, specimens)]
     lines += _readings(problem)

@@ -87,15 +87,11 @@ def fit_problem(problem: Problem, comm: MPI.Intracomm, *, compare: bool = False)
 def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> FitResult:
     """Return the result under one law. Collective on comm."""
     if problem.settings.process:  # matrices of all readings of a test
-        tests = [
-            replace(
-                test,
-                series=tuple(
-                    averaged(s, test.case.time.end) if s.n > BLOCKS else s for s in test.series
-                ),
-            )
-            for test in problem.experiments
-        ]
+        tests = []
+        for test in problem.experiments:
+            end = test.case.time.end
+            series = [averaged(s, end) if s.n > BLOCKS else s for s in test.series]
+            tests.append(replace(test, series=tuple(series)))
         problem = replace(problem, experiments=tuple(tests))
     readings = Readings(problem, comm, signals)
 

@@ -12,7 +12,7 @@ from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
-from ringwear_par.identification.doubts import checks, coarse_wear, conditions
+from ringwear_par.identification.doubts import checks
 from ringwear_par.wear.laws.threshold import AboveThreshold
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
     """Return the contents of fit.json."""
     problem, solution = fit.problem, fit.solution
     return {
-        "parameters": _parameters(fit),
+        "parameters": {key: dict(entry) for key, entry in fit.entries.items()},
         "keys": [*problem.keys],
         "covariance": fit.covariance.tolist(),
         "level": problem.settings.level,
@@ -107,7 +107,7 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "log_evidence": solution.log_evidence,
         "evidence": {"log": solution.log_evidence, "error": solution.evidence_error},
         "specimens": len({test.groups[0] for test in problem.experiments}),
-        "process": _process(fit),
+        "process": {key: dict(entry) for key, entry in fit.process.items()},
         "experiments": fit.experiments,
         "tests": dict(fit.laboratory),
         "nuisance": fit.nuisances,
@@ -133,30 +133,6 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "data": dict(problem.hashes),
         "key": problem.key,
     }  # fmt: skip
-
-
-def _parameters(fit: "FitResult") -> dict[str, dict[str, Any]]:
-    problem, entries = fit.problem, {key: dict(entry) for key, entry in fit.entries.items()}
-    for key, bound, _ in conditions(fit):
-        entries[key].setdefault("conditional_on", []).append(bound)
-    values = fit.draws.values(fit.draws.material)
-    for parameter in problem.parameters:
-        entry, case = entries[parameter.key], problem.experiments[0].case
-        if (numbers := in_users_unit(parameter, entry, case)) is not None:
-            entry["told"] = numbers
-        rate = specific_wear_rate(problem, parameter.key, entries, values)
-        if rate is not None:
-            entry["specific_wear_rate"] = rate
-    return entries
-
-
-def _process(fit: "FitResult") -> dict[str, dict[str, Any]]:
-    process = {key: dict(entry) for key, entry in fit.process.items()}
-    for key, entry in process.items():
-        if coarse_wear(fit, key) and "estimate" in entry["size"]:
-            for name in ("size", "share"):
-                entry[name] = {"estimate": entry[name]["estimate"], "interval": [None, None]}
-    return process
 
 
 def _inputs(fit: "FitResult") -> dict[str, dict[str, Any]]:

@@ -1,6 +1,7 @@
 """What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,6 +16,8 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     reflected,
 )
+from ringwear_par.identification.fit_numbers import in_users_unit, specific_wear_rate
+from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
 
@@ -23,8 +26,12 @@ Verdict = Literal["identified", "at bound", "not identified"]
 _AT_BOUND = 0.25
 #: parts of an interval of 95 %, in which densities are counted
 _WINDOWS = 20
+#: correlation of two keys above which a bound of one is what the other is known by
+_CONDITIONAL = 0.87
+#: fewest readings of a record
+_SEVERAL = 5
 #: share of the prior's sd above which an sd says hardly more
-_VAGUE = 0.5
+VAGUE = 0.5
 #: share of the largest component of a direction above which keys are mentioned
 _MENTIONED = 0.15
 #: correlation of a vague key with a nuisance that is to blame
@@ -68,7 +75,7 @@ def judged(
     ends = np.quantile(draws, [2.0 * tail, 1.0 - 2.0 * tail] if one else [tail, 1.0 - tail])
     low_end, high_end = ends.tolist()
     interval = [None if at_low else low_end, None if at_high else high_end]
-    if (at_low and at_high) or draws.std() > _VAGUE * prior_sd:
+    if (at_low and at_high) or draws.std() > VAGUE * prior_sd:
         return "not identified", interval
     return "at bound" if one else "identified", interval
 
@@ -123,6 +130,18 @@ def key_entries(
         if j in scatterings:
             own = float(np.median(own_sds[:, j]))
             entry.update(_scatter(solution, scatterings[j], parameter, material[:, j], own))
+    values = np.where([p.log for p in problem.parameters], np.exp(material), material)
+    tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
+    for row, parameter in zip(tied, problem.parameters, strict=True):
+        entry, case = entries[parameter.key], problem.experiments[0].case
+        others = [key for key, known_by in zip(problem.keys, row, strict=True) if known_by]
+        bounded = [key for key in others if entries[key]["verdict"] == "at bound"]
+        if entry["verdict"] == "identified" and bounded:
+            entry["conditional_on"] = bounded
+        if (told := in_users_unit(parameter, entry, case)) is not None:
+            entry["told"] = told
+        if (rate := specific_wear_rate(problem, parameter.key, entries, values)) is not None:
+            entry["specific_wear_rate"] = rate
     return entries
 
 
@@ -189,21 +208,39 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     shares = posterior.shares(solution.theta, posterior.known)
     for body, (key, process) in enumerate(solution.problem.settings.process.items()):
         share, depth = shares[:, body], float(solution.depths[body])
+        between = _between_readings(posterior.likelihoods, body)
+        entry: dict[str, Any] = {
+            "depth": depth, "verdict": "identified",
+            "between_readings": None if between is None else between * depth,
+        }  # fmt: skip
+        entries[key] = entry
         if not process.fitted:
             known = float(share[0])
             size = process.size or known**2 * depth
-            entries[key] = {"size": {"known": size}, "share": {"known": known},
-                            "depth": depth, "verdict": "identified"}  # fmt: skip
+            entry |= {"size": {"known": size}, "share": {"known": known}}
             continue
         found = _quantiles(share, level)
         low, high = found["interval"]
         before = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)
-        narrow = math.log(high / low) < _VAGUE * math.log(before[1] / before[0])
-        entries[key] = {
-            "size": _quantiles(share**2 * depth, level), "share": found, "depth": depth,
-            "verdict": "identified" if narrow else "not identified",
-        }  # fmt: skip
+        if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
+            entry["verdict"] = "not identified"
+        entry |= {"size": _quantiles(share**2 * depth, level), "share": found}
+        if between is not None and entry["size"]["estimate"] > between * depth:  # not normal
+            entry["size"]["interval"] = entry["share"]["interval"] = [None, None]
     return entries
+
+
+def _between_readings(likelihoods: Sequence[EmulatedLikelihood], body: int) -> float | None:
+    """Return the median depth worn between two readings of records, over the largest of all."""
+    steps = []
+    for likelihood in (one.likelihood for one in likelihoods):
+        records, depth = likelihood.test.series, likelihood.setting.clocks[body][1]
+        parts = np.split(depth, np.cumsum([series.n for series in records])[:-1])
+        steps += [
+            np.diff(np.unique(part)) for series, part in zip(records, parts, strict=True)
+            if series.n > _SEVERAL and not series.profile
+        ]  # fmt: skip
+    return float(np.median(np.concatenate(steps))) if steps else None
 
 
 def direction(
