@@ -127,12 +127,11 @@ class FitResult(Outcome):
 
     @property
     def aic(self) -> float:
-        """Akaike's information criterion at the mode, where priors count as readings."""
-        fitted = self.solution.posterior.dimension + sum(
-            len(test.nuisances) + len(test.growth_times) + sum(s.sd_fitted for s, _ in test.records)
-            for test in self.tests
-        )
-        return 2.0 * fitted + sum(test.deviance for test in self.tests)
+        """Akaike's information criterion at the mode; nuisances and fitted noise are integrated."""
+        posterior, best = self.solution.posterior, self.solution.best[None]
+        shares = posterior.shares(best, posterior.known)
+        log_p = float(posterior.of_readings(posterior.of_tests(best), shares)[0])
+        return 2.0 * posterior.dimension - 2.0 * log_p
 
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:

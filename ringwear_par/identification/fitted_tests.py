@@ -94,8 +94,6 @@ class FittedTest:
     #: (parts,) their degrees of freedom, and whether the sd of all their readings is given
     freedom: FloatArray
     given: BoolArray
-    #: -2 log p of all readings at the mode, priors' squares included
-    deviance: float
     #: draws (s,) of nuisances by number of the series and kind, see ``nuisance_draws``
     nuisances: dict[tuple[int, str], FloatArray]
     growth_times: dict[int, FloatArray]
@@ -146,8 +144,7 @@ def fitted_test(
     sd, residuals = _residuals(likelihood, model)
     return FittedTest(
         test, likelihood.data, sd, model, band, residuals, side, excess, excess_sd, found.squares,
-        np.array(freedom), np.array(given), _deviance(likelihood, at_best, found.squares[:, 0]),
-        values, times,
+        np.array(freedom), np.array(given), values, times,
     )  # fmt: skip
 
 
@@ -165,17 +162,6 @@ def _residuals(likelihood: TestLikelihood, model: FloatArray) -> tuple[FloatArra
         if series.censored is None:
             off[part] = whitened(series, off[part])
     return sd, off
-
-
-def _deviance(likelihood: TestLikelihood, reading: FloatArray, squares: FloatArray) -> float:
-    """Return -2 log p of a test, by readings (1, n) of the model and squares (parts,)."""
-    deviance = -2.0 * float(likelihood.of_limits(reading[:, likelihood.limits])[0])
-    for noise, _ in likelihood.noises:
-        values = np.flatnonzero(sides(likelihood.test)[noise.rows] == 0.0)
-        if len(values):
-            white = noise.white(np.eye(len(noise.rows)))[np.ix_(values, values)]
-            deviance += len(values) * np.log(2.0 * np.pi) - 2.0 * float(np.linalg.slogdet(white)[1])
-    return deviance + float(squares.sum())
 
 
 def readings_of_draws(
