@@ -24,7 +24,7 @@ from ringwear_par.identification.posterior import Posterior
 _STEP = 0.02
 #: values of the next specimen over which the likelihood of a test is averaged
 _SPECIMENS = 32
-#: sd of these about those that the readings tell, over the sd of the latter
+#: sd of these about the draws, over that of what is left open
 _WIDER = 1.5
 
 
@@ -214,8 +214,8 @@ def log_p_of_tests(
 ) -> FloatArray:
     """Return log p (s, tests) of the readings of each test, whatever its own values are.
 
-    The likelihood is averaged over values that the next specimen may have, drawn about those that
-    the readings of the test tell beside the keys that do not scatter.
+    The likelihood is averaged over values that the next specimen may have, drawn about those of
+    each draw by what the keys that do not scatter leave open.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def log_p_of_tests(
         each = []
         for z in normal:
             points = x[:, i].copy()
-            points[:, keys] = centre + root @ z
+            points[:, keys] += root @ z
             off = (points - material)[:, keys] / sd[:, keys]
             prior = -0.5 * np.square(off).sum(axis=1) - np.log(sd[:, keys]).sum(axis=1)
             log_p = emulated(emulated.emulator.coordinates(points), shares)
