@@ -1,97 +1,236 @@
-"""How often intervals of fits hold the truth: simulated laboratories, seeds fixed.
+"""How often intervals of fits hold the truth: simulated laboratories, fixed seeds, tables.
 
-Usage: python scripts/fit_coverage.py [--sets 100] [--scatter 0.12] [--specimens 3]
+Usage: python scripts/fit_coverage.py [--lab NAME ...] [--sets 200] [--first 0]
 
-Each laboratory wears specimens of one material at 50, 80 and 110 MPa, reads their penetration 50
-times (0.2 um, with an unknown zero) and fits k and p0. With a scatter k differs between specimens,
-and intervals are those of the material and of the next specimen; ``--scatter 0`` has one k, as two
-tests of one specimen would. Printed are the shares of 95 % intervals that hold the truth.
+Polynomials of the readings of each test, made once from histories, simulate the readings of each
+set and stand for histories in its fit, which is that of ``ringwear fit`` otherwise. Printed are the
+shares of 95 % intervals that hold the truth, binomial errors, and in brackets median half widths.
 """
 
 import argparse
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-import ringwear_par as rw
+from ringwear_par import read_case
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification import sampling, solution
+from ringwear_par.identification.definition import problem as fits
+from ringwear_par.identification.emulator import Box, emulate
+from ringwear_par.identification.histories import Readings
+from ringwear_par.identification.key_estimates import judged
+from ringwear_par.identification.readings import growth, nuisance_columns
+from ringwear_par.results.execution.stop_signals import StopSignals
 
-PAPER = Path(__file__).resolve().parent / "cases" / "paper.toml"
-LOADS = 50.0, 80.0, 110.0
-K, P0 = "wear.lower.k", "wear.lower.p0"
-#: of the material, 1/MPa and MPa
-TRUTH = {K: 1e-7, P0: 40.0}
-#: s, and um of the sensor
-READ, NOISE = np.linspace(3.0, 150.0, 50), 0.2
+Wanted = Sequence[tuple[int, FloatArray]]
+#: whether an interval holds the truth, and half its width
+Score = tuple[bool, float]
+PAPER = Path(__file__).parent / "cases" / "paper.toml"
+#: histories for polynomials, their error over a reading's noise, mm that need not be as good
+HISTORIES, GOOD, FAR = 800, 0.02, 0.02
+#: effective draws, and correlation times of a chain: fewer than of fits, whose ends repeat better
+DRAWS, LENGTH = 1000.0, 6.0
+#: mm of displacements and profiles, g of weighings; g/mm3; sd of nuisances without a prior, mm
+SENSOR, PROFILER, BALANCE, DENSITY, FREE = 2e-4, 8e-5, 1e-4, 1.9e-3, 1e-3
+OFFSET, DRIFT = fits.Nuisance("offset"), fits.Nuisance("drift", fits.Prior(0.0, 5e-4))
+SKEW = fits.Nuisance("level"), fits.Nuisance("tilt")
+#: amplitude and time (s) of thermal growth
+WARM, TIME = fits.Nuisance("thermal"), fits.Prior(1500.0, 500.0)
+THERMAL = WARM, fits.Nuisance("thermal time", TIME, (100.0, 9000.0), 1500.0)
 
 
-def histories() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return times and penetrations in um at each load, four times as long as a test.
+def key(name: str, start: float, low: float, high: float, log: bool = True) -> fits.FittedParameter:
+    return fits.FittedParameter(f"wear.lower.{name}", start, (low, high), log)
 
-    At a steady speed k and time enter by their product: one history serves every k.
+
+def series(
+    quantity: str, x: FloatArray, sd: float, *nuisances: fits.Nuisance, at: float | None = None
+) -> fits.Series:
+    """Return a series that has not been read yet."""
+    none, sds = np.zeros(len(x)), np.full(len(x), sd)
+    more: Any = {"at": at, "density": DENSITY, "nuisances": nuisances}
+    return fits.Series(quantity, quantity, x, none, sds, **more)
+
+
+def worn(pressure: float, end: float, *read: fits.Series, **changed: Any) -> fits.Experiment:
+    changed |= {"load.pressure": pressure, "time.end": end, "time.scheme": "adaptive"}
+    case = read_case(PAPER, {**changed, "time.step": None, "time.steps": None})
+    return fits.Experiment("", case, read)
+
+
+def laboratories() -> dict[str, tuple[Any, ...]]:
+    """Return the arguments of each ``Laboratory`` by its name."""
+
+    def record(end: float, count: int, *nuisances: fits.Nuisance) -> fits.Series:
+        return series("penetration", np.linspace(end / count, end, count), SENSOR, *nuisances)
+
+    read = record(150.0, 50, OFFSET, DRIFT), series("mass.lower", 50.0 * np.arange(1, 4), BALANCE)
+    at = {p: worn(p, 150.0, *read) for p in (50.0, 80.0, 100.0, 110.0)}
+    k, p0 = key("k", 1e-7, 2e-8, 5e-7), key("p0", 15.0, 0.0, 45.0, False)
+    nine, wide = [at[50.0], at[80.0], at[110.0]] * 3, replace(k, bounds=(2e-8, 2e-6))
+    labs: dict[str, tuple[Any, ...]] = {}
+    for tau in (0.05, 0.12, 0.3):
+        labs[f"nine-{100 * tau:g}"] = nine, [k, p0], [1e-7, 15.0], tau
+    for n in (2, 3):
+        labs[f"{n}-specimens"] = [at[80.0]] * n, [k], [1e-7], 0.12
+    labs["one-load"] = [at[50.0]], [wide, p0], [None, None]
+    labs["one-load-0"] = [at[50.0]], [wide, p0], [1e-7, 0.0]
+    labs["two-loads-0"] = [at[50.0], at[100.0]], [wide, p0], [1e-7, 0.0]
+    end, r = 7200.0, np.linspace(28.0, 32.0, 201)
+    profile = series("profile.lower", r, PROFILER, *SKEW, at=end)
+    read = record(end, 360, OFFSET, *THERMAL), series("mass.lower", end * np.ones(1), BALANCE)
+    keys = [key("k", 6e-9, 3e-9, 9.5e-9), key("k_start", 1.8e-8, 1e-8, 8e-8)]
+    keys.append(key("distance", 3e4, 6e3, 1.5e5))
+    rig = {"load.omega": 1.0, "contact.friction": 0.12, **{k.key: k.start for k in keys}}
+    rig |= {"wear.lower.law": "running-in", "wear.lower.p0": 0.0}
+    tests = [worn(p, end, *read, profile, **rig) for p in (40.0, 70.0)]
+    labs["running-in"] = tests, keys, [k.start for k in keys]
+    k, rig = key("k", 9e-9, 3e-9, 3e-8), {"wear.lower.law": "archard", "wear.lower.k": 9e-9}
+    test = worn(80.0, 200.0, record(200.0, 150, OFFSET), **rig)
+    for share in (0.01, 0.03, 0.1):
+        for n in (1, 3, 10):
+            labs[f"random-{100 * share:g}-{n}"] = [test] * n, [k], [9e-9], 0.0, share
+    return labs
+
+
+class Laboratory:
+    """Stands for ``Readings`` in a fit: polynomials of tests' readings, made once from histories.
+
+    Behind the readings of each test they have the volumes worn off then, for random wear. A factor
+    on rates is one on the first key, k: so it is for the laws archard and threshold.
+
+    Parameters
+    ----------
+    truth : of the material, by key; None: flat within the bounds, as the fit is told.
+    tau, share : scatter of the first key between specimens, and share of random wear; 0: none.
     """
-    keys = {**TRUTH, "time.step": 0.5, "time.steps": 1200}
-    results = [rw.simulate(rw.read_case(PAPER, {**keys, "load.pressure": p})) for p in LOADS]
-    return [(r.histories["time"], 1e3 * r.histories["penetration"]) for r in results]
+
+    failed, steps, count, reason, tell = 0, 40, 0, "a key is beyond its bounds", str
+
+    def __init__(
+        self, tests: list[fits.Experiment], keys: list[fits.FittedParameter],
+        truth: list[float | None], tau: float = 0.0, share: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.keys, self.truth, self.tau, self.share = keys, truth, tau, share
+        scatter = fits.Scatter({"specimen": None}) if tau else None
+        parameters = (replace(keys[0], scatter=scatter), *keys[1:])
+        settings = fits.Settings(process={"wear.lower": fits.ProcessNoise()} if share else {})
+        own = [replace(t, name=f"{i}", groups=(f"{i}", "", "")) for i, t in enumerate(tests)]
+        design = fits.DesignSpace()
+        problem = fits.Problem("", "", settings, parameters, tuple(own), {}, {}, design)
+        tests = []
+        for test in own:
+            times = np.concatenate([np.broadcast_to(s.at or s.x, s.n) for s in test.series])
+            tests.append(replace(test, series=(*test.series, series("volume.lower", times, 0.1))))
+        self.problem, (low, high) = problem, problem.unknown_bounds
+        self.box = Box(low, high, 0.5 * (low + high), np.diag(0.5 * (high - low)))
+        x, self.emulators = self.box.design(HISTORIES), {}
+        with StopSignals() as signals:
+            true = Readings(problem.with_experiments(tuple(tests)), MPI.COMM_SELF, signals)
+            self.same_as = true.same_as
+            blocks = true.lead(lambda: true([(i, x) for i in sorted({*self.same_as})]))
+        for i, y in zip(sorted({*self.same_as}), blocks, strict=True):
+            sd = np.concatenate([s.sd for s in tests[i].series])
+            most = np.abs(y[:, : problem.experiments[i].n]).max(axis=1)
+            weights = (1.0 / np.maximum(1.0, most / FAR))[np.isfinite(y).all(axis=1)]
+            self.emulators[i] = emulate(self.box, x, y, sd, weights, GOOD)[0]
+
+    def __call__(self, wanted: Wanted, steps: int = 0, factors: Any = (1.0,)) -> list[FloatArray]:
+        """Return readings (P, n) of each test at unknowns (P, m), as ``Readings`` does."""
+        blocks = []
+        for test, x in wanted:
+            beyond = (x < self.box.low - 1e-9) | (x > self.box.high + 1e-9)
+            y = self.emulators[self.same_as[test]](x + np.log(factors[0]) * np.eye(x.shape[1])[0])
+            y[beyond.any(axis=1)] = np.nan
+            blocks.append(y[:, : self.problem.experiments[test].n])
+        return blocks
+
+    def simulate(self, x: FloatArray, random: np.random.Generator) -> None:
+        """Read all tests anew at unknowns (tests, m), wear a gamma process where it has a share."""
+        tests = []
+        for number, test in enumerate(self.problem.experiments):
+            # readings are functions of the worn volume alone, which those of a faster test tell
+            rates = np.log([[1.0], [1.5]]) * np.eye(x.shape[1])[0]
+            y, faster = self.emulators[self.same_as[number]](x[number] + rates)
+            if self.share:
+                size = self.share**2 * y[test.n :].max()
+                volume = np.cumsum(random.gamma(np.diff(y[test.n :], prepend=0.0) / size, size))
+                y = np.interp(volume, [0.0, *faster[test.n :]], [0.0, *faster[: test.n]])
+            read = []
+            for s in test.series:
+                values, y = y[: s.n], y[s.n :]
+                columns = nuisance_columns(s, test.case).T
+                for nuisance, column in zip(s.linear_nuisances, columns, strict=True):
+                    mean, sd = nuisance.prior or (0.0, FREE)
+                    values = values + (mean + sd * random.standard_normal()) * column
+                if s.growth_time:
+                    grown = growth(WARM, test.case, s.x, max(random.normal(*TIME), 100.0))
+                    values = values - 2.0 * FREE * np.exp(0.3 * random.standard_normal()) * grown
+                read.append(replace(s, value=values + s.sd * random.standard_normal(s.n)))
+            tests.append(replace(test, series=tuple(read)))
+        self.problem = self.problem.with_experiments(tuple(tests))
 
 
-def laboratory(
-    folder: Path, true: list[tuple[np.ndarray, np.ndarray]], specimens: int, scatter: float,
-    rng: np.random.Generator,
-) -> dict[str, Any]:  # fmt: skip
-    """Return the fit file of a laboratory, as a dict; its readings are in the folder."""
-    experiments = []
-    for number in range(specimens):
-        ratio = np.exp(scatter * rng.standard_normal())
-        depth = np.interp(ratio * READ, *true[number % len(LOADS)])
-        read = depth + rng.normal() + NOISE * rng.standard_normal(len(READ))
-        file = folder / f"{number}.csv"
-        np.savetxt(file, np.c_[READ, read], "%.6g", ",", header="t_s,z_um", comments="")
-        experiments.append({
-            "name": f"{number}",
-            "set": {"load.pressure": LOADS[number % len(LOADS)], "time.steps": 150},
-            "data": [{"quantity": "penetration", "file": str(file), "sd": NOISE,
-                      "nuisance": {"offset": {}}, "columns": {"time": "t_s", "value": "z_um"}}],
-        })  # fmt: skip
-    parameters: dict[str, dict[str, Any]] = {
-        K: {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"},
-        P0: {"start": 30.0, "bounds": [0.0, 200.0]},
-    }
-    if scatter:
-        parameters[K]["scatter"] = "fit"
-    fit = {"parameters": parameters}
-    return {"case": str(PAPER), "fit": fit, "experiment": experiments}
+def holds(draws: FloatArray, truth: float, low: float = -np.inf, high: float = np.inf) -> Score:
+    """Tell whether the interval of draws (s,) holds the truth, and half its width."""
+    a, b = judged(draws, low, high, np.inf, 0.95)[1]
+    a, b = low if a is None else a, high if b is None else b
+    return bool(a <= truth <= b), 0.5 * (b - a)
+
+
+def one_set(lab: Laboratory, seed: int) -> dict[str, Score]:
+    """Return of each number whether its interval holds the truth, and its half width."""
+    random, low, high = np.random.default_rng([7, seed]), lab.box.low, lab.box.high
+    truth = [
+        random.uniform(a, b) if value is None else p.unknown(value)
+        for p, a, b, value in zip(lab.keys, low, high, lab.truth, strict=True)
+    ]
+    x = np.tile(truth, (len(lab.same_as), 1))
+    x[:, 0] += lab.tau * random.standard_normal(len(x))
+    lab.simulate(x, random)
+    found = solution.solve(lab, seed)  # type: ignore[arg-type]
+    material, scores = found.posterior.material(found.theta, random), {}
+    for j, p in enumerate(lab.keys):
+        name = f"{p.key.rpartition('.')[2]} ({'%' if p.log else 'MPa'})"
+        scores[name] = holds(material[:, j], truth[j], low[j], high[j])
+    for place, _ in found.posterior.sizes:
+        name = "scatter (%)" if lab.tau else "share (%)"
+        scores[name] = holds(found.theta[:, place], float(np.log(lab.tau or lab.share)))
+    for s in found.posterior.scatterings:
+        draws = material[:, 0] + s.spread(found.theta) * random.standard_normal(len(material))
+        scores["next specimen (%)"] = holds(draws, truth[0] + lab.tau * random.standard_normal())
+    return scores
 
 
 def main() -> None:
     """Fit the laboratories and print the shares."""
+    labs, head = laboratories(), ""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sets", type=int, default=100)
-    parser.add_argument("--scatter", type=float, default=0.12, help="relative, of k")
-    parser.add_argument("--specimens", type=int, default=3)
+    parser.add_argument("--lab", nargs="*", choices=labs, default=[*labs])
+    parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first set")
     args = parser.parse_args()
-    true, rows, started = histories(), [], time.process_time()
-    for seed in range(args.sets):
-        rng = np.random.default_rng(seed)
-        with TemporaryDirectory() as name:
-            tables = laboratory(Path(name), true, args.specimens, args.scatter, rng)
-            fit = rw.fit(tables, MPI.COMM_SELF).to_dict()
-        numbers = fit["parameters"]
-        ends = {key: (TRUTH[key], numbers[key]["interval"]) for key in TRUTH}
-        if args.scatter:
-            following = TRUTH[K] * np.exp(args.scatter * rng.standard_normal())
-            ends["next specimen"] = following, numbers[K]["next"]
-        rows.append([
-            (-np.inf if low is None else low) <= value <= (np.inf if high is None else high)
-            for value, (low, high) in ends.values()
-        ])  # fmt: skip
-    shares = np.mean(rows, axis=0)
-    for name, share in zip(ends, shares, strict=True):
-        print(f"{name:<16}{share:.3f} of {args.sets}")
-    print(f"{(time.process_time() - started) / args.sets:.2f} s of CPU a fit")
+    solution._WANTED, sampling._LONG = DRAWS, LENGTH
+    for name in args.lab:
+        lab, scores, started = Laboratory(*labs[name]), [], time.process_time()
+        for seed in range(args.first, args.first + args.sets):
+            scores.append(one_set(lab, seed))
+            n, cells = len(scores), []
+            for number in scores[0]:
+                hits, widths = np.array([s[number] for s in scores]).T
+                share, half = hits.mean(), np.median(widths) * (1.0 if "MPa" in number else 100.0)
+                cells.append(f"{share:.3f} ± {np.sqrt(share * (1.0 - share) / n):.3f} ({half:.2g})")
+            row = f"| {name} | {n} | {' | '.join(cells)} |"
+            if n % 10 == 0:
+                print(f"    {row} {(time.process_time() - started) / n:.2f} s a set", flush=True)
+        if head != (head := f"| laboratory | sets | {' | '.join(scores[0])} |"):
+            print(f"\n{head}\n{'|---' * (2 + len(scores[0]))}|")
+        print(row, flush=True)
 
 
 if __name__ == "__main__":

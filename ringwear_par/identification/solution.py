@@ -24,8 +24,9 @@ from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
 from ringwear_par.identification.setting import needs_middle, settings_at
 
-#: draws at first; points that fill the box of an emulator and draws with true histories, a round
-_FIRST, _FILLING, _TRIED = 2048, 96, 48
+#: draws at first; points that fill the box of an emulator, and more for each key; draws that have
+#: true histories, a round
+_FIRST, _FILLING, _A_KEY, _TRIED = 2048, 32, 16, 40
 #: margin of a box, as a share of its edges; it doubles while draws are at faces
 _MARGIN = 0.1
 #: factor by which the power may grow in a round, and power that the first round may reach
@@ -236,7 +237,7 @@ class _Search:
             o: Box.about(x[:, tests].reshape(-1, layout.m), layout.low, layout.high, self._margin)
             for o, tests in members.items()
         }
-        filling = {o: box.design(_FILLING) for o, box in boxes.items()}
+        filling = {o: box.design(_FILLING + _A_KEY * layout.m) for o, box in boxes.items()}
         filled = dict(zip(members, readings([*filling.items()]), strict=True))
         emulators, without = {}, [np.zeros(0)] * len(same_as)
         for o, tests in members.items():

@@ -20,6 +20,8 @@ FITTED = {
 END = 100.0
 #: mm
 SD_PENETRATION, SD_PROFILE = 2e-4, 8e-5
+#: of specimens, by which k is another, and the sd of the wear of each at its end, over the wear
+FACTORS, SHARE = (0.85, 1.0, 1.2), 0.03
 #: places in a fit file of two series of its first test
 PEN, PROF = ("experiment", 0, "data", 0), ("experiment", 0, "data", 1)
 

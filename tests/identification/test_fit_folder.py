@@ -1,108 +1,172 @@
-"""``ringwear fit`` and the folder that it writes: numbers, tables, dry runs."""
+"""``ringwear fit`` and the folder that it writes: numbers, tables, draws, dry runs."""
 
 import json
 import pickle
-import sys
 
 import h5py
+import numpy as np
 import pytest
 import xarray
 from laboratory import TRUTH
-from parts import main, toml_text
+from parts import Draws, main, read_draws, toml_text
+from scipy.stats import multivariate_normal, norm
 
-import ringwear_par as rw
 from ringwear_par.identification.fit_command import run_fit
 
-
-@pytest.fixture
-def write(tmp_path):
-    """Function that writes a fit file; returns it, and the folder of its results."""
-
-    def write(tables):
-        path = tmp_path / "fit.toml"
-        path.write_text(toml_text(tables))
-        return path, tmp_path / "out"
-
-    return write
+K = "wear.lower.k"
 
 
-def test_a_dry_run_says_what_is_not_installed(tables, write, comm, capsys, monkeypatch):
-    """And does not need it, as the fit does."""
-    path, folder = write(tables(intervals=["posterior"]))
-    monkeypatch.setitem(sys.modules, "emcee", None)  # as if it were not there
-    run_fit(path, folder, comm, dry_run=True)
-    assert "needs emcee" in capsys.readouterr().out
-    with pytest.raises(rw.InputError, match="needs emcee"):
-        run_fit(path, folder, comm)
-    monkeypatch.undo()
+@pytest.fixture(scope="module")
+def folder(found, tmp_path_factory):
+    """The folder of a fit without scatter."""
+    folder = tmp_path_factory.mktemp("folder") / "fit"
+    found.save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def of_specimens(specimens, tmp_path_factory):
+    """The folder of a fit with scatter."""
+    folder = tmp_path_factory.mktemp("specimens") / "fit"
+    specimens.save(folder)
+    return folder
+
+
+@pytest.mark.slow
+def test_a_command_writes_nothing_in_a_dry_run(tables, comm, capsys, tmp_path):
+    """Which says what is to be expected, that of the fit if its starts are the truth."""
+    path, folder = tmp_path / "fit.toml", tmp_path / "out"
+    given = tables()
+    for key, value in TRUTH.items():
+        given["fit"]["parameters"][key]["start"] = value
+    path.write_text(toml_text(given))
     run_fit(path, folder, comm, dry_run=True)
     output = capsys.readouterr().out
-    assert "missing" not in output
     assert "to be expected" in output
     assert not folder.exists()
-
-
-def test_what_is_written(tables, write, capsys):
-    path, folder = write(tables())
+    (line,) = (line.split() for line in output.splitlines() if f"  {K} " in line)
+    low, high = (float(line[line.index(word) + 1]) for word in ("from", "to"))
+    assert low < TRUTH[K] < high
     assert main(["fit", str(path), "-o", str(folder)]) == 0
     assert "wear.lower.p0" in capsys.readouterr().out
+    found = json.loads((folder / "fit.json").read_text())["parameters"][K]["interval"]
+    assert high - low == pytest.approx(found[1] - found[0], rel=0.15)
+    assert not [p for p in folder.iterdir() if "specimens" in p.name]
+
+
+def test_what_is_written(folder, found):
     assert sorted(p.name for p in folder.iterdir()) == [
-        "fit.json", "fit.png", "parameters.png", "results.h5",
+        "draws.nc", "draws_1.nc", "fit.json", "fit.png", "parameters.png", "results.h5",
     ]  # fmt: skip
     stored = json.loads((folder / "fit.json").read_text())
-    low, high = stored["parameters"]["wear.lower.k"]["interval"]
-    assert low < TRUTH["wear.lower.k"] < high
+    assert stored == json.loads(json.dumps(found.to_dict()))
+    assert {"parameters", "covariance", "chi2", "p_value", "aic", "bic", "log_evidence", "process",
+            "experiments", "nuisance", "inputs", "checks", "doubts", "alternatives",
+            "draws"} <= {*stored}  # fmt: skip
+    assert stored["warnings"] == [doubt["text"] for doubt in stored["doubts"]]
     with h5py.File(folder / "results.h5") as file:
         groups = {name: group for name, group in file.items() if "experiment" in group.attrs}
         assert len(groups) == 4
-        chi2 = sum((group["residual"][:] ** 2).sum() for group in groups.values())
-        assert chi2 == pytest.approx(stored["chi2"])
-    units = {"wear.lower.k": "1/MPa", "wear.lower.p0": "MPa"}
-    assert {key: one["unit"] for key, one in stored["parameters"].items()} == units
-    for name in groups:
-        with xarray.open_dataset(folder / "results.h5", group=name, engine="h5netcdf") as opened:
-            assert opened["parameter"].values.tolist() == list(units)
-            assert opened["parameter_unit"].values.tolist() == list(units.values())
-            assert opened["sensitivity"].sel(parameter="wear.lower.k").dims == ("reading",)
-            assert opened["data"].attrs["units"] == "mm"
-    check_exported(folder, stored, chi2)
+        for group in groups.values():
+            series = group.attrs["experiment"], group.attrs["series"]
+            chi2 = stored["experiments"][series[0]][series[1]]["chi2"]
+            assert (group["residual"][:] ** 2).sum() == pytest.approx(chi2)
+            rest = (group["data"][:] - group["model"][:]) / group["sd"][:]
+            np.testing.assert_allclose(rest, group["residual"][:], atol=1e-9)
+    with xarray.open_dataset(folder / "results.h5", group=next(iter(groups)),
+                             engine="h5netcdf") as opened:  # fmt: skip
+        assert opened["data"].attrs["units"] == "mm"
 
 
-def check_exported(folder, stored, chi2):
-    """Check that the tables for spreadsheets have the numbers of the fit."""
+def test_tables_for_spreadsheets(folder, tmp_path):
+    """They have the numbers of the fit."""
     openpyxl = pytest.importorskip("openpyxl")
-    assert main(["export", str(folder), "-o", str(folder.parent / "fit.xlsx")]) == 0
-    book = openpyxl.load_workbook(folder.parent / "fit.xlsx")
+    stored = json.loads((folder / "fit.json").read_text())
+    assert main(["export", str(folder), "-o", str(tmp_path / "fit.xlsx")]) == 0
+    book = openpyxl.load_workbook(tmp_path / "fit.xlsx")
     sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book}
     header, *keys = sheets["parameters"]
     k = dict(zip(header, keys[0], strict=True))
-    assert (k["key"], k["unit"]) == ("wear.lower.k", "1/MPa")
-    assert [k["from"], k["to"]] == pytest.approx(stored["parameters"]["wear.lower.k"]["interval"])
+    assert (k["key"], k["unit"]) == (K, "1/MPa")
+    assert [k["from"], k["to"]] == pytest.approx(stored["parameters"][K]["interval"])
     place = sheets["readings"][0].index("residual over noise")
+    chi2 = sum(one["chi2"] for of in stored["experiments"].values() for one in of.values())
     assert sum(row[place] ** 2 for row in sheets["readings"][1:]) == pytest.approx(chi2)
-    path = folder.parent / "fit.csv"
-    assert main(["export", str(folder), "-o", str(path), "--decimal", "comma"]) == 0
-    rows = [line.split(";") for line in path.read_text().splitlines()]
-    assert rows[0] == list(sheets["tests"][0])
-    for row, cells in zip(rows[1:], sheets["tests"][1:], strict=True):
-        assert row[0] == cells[0]
-        numbers = [float(cell.replace(",", ".")) for cell in row[1:]]
-        assert numbers == pytest.approx(cells[1:], rel=1e-14)
 
 
-def test_a_fit_can_be_pickled(tables, write):
+def test_a_fit_can_be_pickled(found):
     """As between processes: there is no engine in it."""
-    found = rw.fit(write(tables())[0])
-    assert "wear.lower.k" in repr(found)
+    assert K in repr(found)
     assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
 
 
-def test_a_reading_that_no_key_changes_is_refused_and_nothing_written(tables, write, capsys):
-    mass = {"quantity": "mass.upper", "value": 0, "unit": "g", "density": 0.0078, "sd": 1}
-    given = tables()
-    given["experiment"][0]["data"].append(mass)
-    path, folder = write(given)
-    before = sorted(path.parent.iterdir())
-    assert main(["fit", str(path), "-o", str(folder)]) == 2
-    assert "respond" in capsys.readouterr().err
-    assert sorted(path.parent.iterdir()) == before
+@pytest.mark.slow
+def test_draws_are_read_as_they_were_written(of_specimens, specimens):
+    assert (of_specimens / "specimens.png").exists()
+    again, draws = read_draws(of_specimens / "draws.nc"), specimens.draws
+    for name in Draws.__dataclass_fields__:
+        one, other = getattr(again, name), getattr(draws, name)
+        if isinstance(other, np.ndarray):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+        elif name == "scatter":
+            np.testing.assert_array_equal(one[K, "specimen"], other[K, "specimen"])
+        else:
+            assert one == other, name
+
+
+@pytest.mark.slow
+def test_groups_are_those_of_arviz(of_specimens, specimens):
+    """Of a test: log p of a reading given the others, and of all, its own value integrated out."""
+    path, row, number = of_specimens / "draws.nc", 7, 1
+    count, readings = len(specimens.draws), specimens.n
+    with h5py.File(path) as file:
+        assert {*file} == {"posterior", "observed_data", "posterior_predictive", "log_likelihood",
+                           "log_likelihood_test"}  # fmt: skip
+        shape = 4, count // 4
+        assert file["posterior"][K].shape == shape
+        assert file["posterior"][f"scatter of {K} between specimens"].shape == shape
+        assert file["posterior"]["process.wear.lower"].attrs["units"] == "mm"
+        assert file["log_likelihood"]["reading"].shape == (*shape, readings)
+        logs = file["log_likelihood"]["reading"][:].reshape(count, readings)
+        replicas = file["posterior_predictive"]["reading"][:].reshape(count, readings)
+        of_test = file["log_likelihood_test"]["test"][:].reshape(count, 3)
+        observed = file["observed_data"]["reading"][:]
+    test = specimens.tests[number]
+    first = sum(len(one.data) for one in specimens.tests[:number])
+    rows = slice(first, first + len(test.data))
+    np.testing.assert_array_equal(observed[rows], test.data)
+    off = (replicas[:, rows] - test.data) / replicas[:, rows].std(axis=0)
+    assert np.abs(off.mean(axis=0)).max() < 1.5
+    # the covariance of all that is random, of the share that is likeliest
+    emulated = specimens.solution.posterior.likelihoods[number]
+    likelihood, (record, weighing) = emulated.likelihood, test.experiment.series
+    (slope, depth), share = likelihood.setting.clocks[0], likelihood.shares[0]
+    first = np.arange(len(test.data)) < record.n
+    drift = np.where(first, 1e-3 * np.append(record.x, 0.0) / 100.0, 0.0)
+    matrix = np.diag(np.append(record.sd, weighing.sd) ** 2)
+    decay = np.exp(-np.abs(np.subtract.outer(record.x, record.x)) / 3.0)
+    matrix[:-1, :-1] = record.sd[0] ** 2 * decay
+    matrix += np.outer(first, first) * 1e-2 + 0.25 * np.outer(drift, drift)
+    matrix += share**2 * np.outer(slope, slope) * np.minimum.outer(depth, depth)
+    mean = 0.1 * drift
+    rest = test.data - mean - emulated.emulator(specimens.draws.tests[row, number][None])[0]
+    precision = np.linalg.inv(matrix)
+    scores, information = precision @ rest, np.diag(precision)
+    expected = 0.5 * (np.log(information / (2.0 * np.pi)) - scores**2 / information)
+    assert logs[row, rows] == pytest.approx(expected, abs=0.02)
+    # over values of the specimen, at the share of each draw
+    body = specimens.solution.depths[0]
+    marginals = []
+    for one in (row, row + 100):
+        matrix += (specimens.draws.process[one, 0] / body - share**2) * np.outer(
+            slope, slope) * np.minimum.outer(depth, depth)  # fmt: skip
+        share = np.sqrt(specimens.draws.process[one, 0] / body)
+        tau, beta = specimens.draws.scatter[K, "specimen"][one], specimens.draws.material[one, 0]
+        x = emulated.emulator.box
+        x = np.linspace(max(x.low[0], x.centre[0] - x.axes[0, 0]),
+                        min(x.high[0], x.centre[0] + abs(x.axes[0, 0])), 2000)  # fmt: skip
+        off = test.data - mean - emulated.emulator(x[:, None])
+        density = np.exp(multivariate_normal.logpdf(off, cov=matrix)) * norm.pdf(x, beta, tau)
+        marginals.append(np.log(density.sum() * (x[1] - x[0])))
+    found = of_test[[row, row + 100], number]
+    assert found[1] - found[0] == pytest.approx(marginals[1] - marginals[0], abs=0.05)

@@ -1,10 +1,10 @@
-"""What fits print, against scipy's normal distribution and against truths that were planted."""
+"""What fits print, against scipy's distributions and against truths that were planted."""
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 from paths import PAPER
-from scipy.stats import norm
+from scipy.stats import kstest, norm
 
 import ringwear_par as rw
 
@@ -14,9 +14,9 @@ TRUTH = {"wear.lower.k": 3e-8, "wear.upper.k": 2e-8, "contact.friction": 0.2}
 OFFSET, TILT = 1.0, 0.1
 #: by quantity: standard deviations and places of readings, in the units of the files
 SD = {"penetration": 0.05, "torque": 2.0, "profile.lower": 0.05, "profile.upper": 0.05}
-TIMES, FITS = np.linspace(2.0, END, 20), 24
+TIMES, FITS = np.linspace(2.0, END, 20), 12
 CASE = {"wear.lower.law": "archard", "wear.lower.p0": None, "wear.upper.law": "archard", **TRUTH,
-        "mesh.contact_elements": 16}  # fmt: skip
+        "mesh.contact_elements": 12}  # fmt: skip
 
 
 def readings(values):
@@ -42,13 +42,11 @@ def readings(values):
 def laboratory(tmp_path_factory):
     """Function that fits readings with the noise of a seed; returns the fit, and the readings."""
     folder, true = tmp_path_factory.mktemp("truths"), readings(TRUTH)
-    time = {"scheme": "adaptive", "end": END}
-    (folder / "case.toml").write_text(rw.read_case(PAPER, {**CASE, "time": time}).text)
-    bounds = {"wear.lower.k": (1e-9, 1e-6), "wear.upper.k": (1e-9, 1e-6),
-              "contact.friction": (0.01, 1.0)}  # fmt: skip
+    (folder / "case.toml").write_text(rw.read_case(PAPER, {**CASE, "time.scheme": "adaptive",
+                                                           "time.end": END}).text)  # fmt: skip
     keys = {
-        key: {"start": 0.9 * TRUTH[key], "bounds": list(ends), "scale": "log"}
-        for key, ends in bounds.items()
+        key: {"start": 0.9 * value, "bounds": [0.3 * value, 3.0 * value], "scale": "log"}
+        for key, value in TRUTH.items()
     }
 
     def fitted(seed, **settings):
@@ -82,47 +80,51 @@ def nuisances(found):
     }
 
 
-def test_criteria_are_those_of_the_normal_distribution(laboratory):
+@pytest.fixture(scope="module")
+def fits(laboratory):
+    """Fits of many seeds, and the readings of the last one."""
+    every = [laboratory((2, seed)) for seed in range(FITS)]
+    return [found for found, _ in every], every[-1][1]
+
+
+def test_criteria_are_those_of_the_normal_distribution(fits):
     """Of a history in other steps: the likelihood of all readings, and 2 or log n a number."""
-    found, read = laboratory(1)
-    told = found.to_dict()
-    model = readings({key: p["estimate"] for key, p in told["parameters"].items()})
-    errors, log_likelihood, squares = nuisances(found), 0.0, 0.0
+    found, read = fits[0][-1], fits[1]
+    told, best = found.to_dict(), np.exp(found.solution.best)
+    model = readings(dict(zip(TRUTH, best, strict=True)))
+    number = log_likelihood = squares = 0.0
     for quantity, sd in SD.items():
         x, y = model[quantity]
-        if quantity == "penetration":
-            y = y + errors[quantity]["estimate"] - OFFSET
-        elif quantity != "torque":
-            y = y + (errors[quantity]["estimate"] - TILT) * (x - 30.0)
+        column = {"penetration": 1.0 + 0 * x, "torque": 0 * x}.get(quantity, x - 30.0)
+        y = y + column * (column @ (read[quantity] - y)) / max(column @ column, 1.0)
         scale = 1e3 if quantity == "torque" else 1e-3  # in N mm and mm
         log_likelihood += norm.logpdf(scale * (read[quantity] - y), scale=scale * sd).sum()
         squares += (((read[quantity] - y) / sd) ** 2).sum()
-    number = len(TRUTH) + len(errors)
-    n = sum(map(len, read.values()))
-    assert (number, n) == (6, 64)
-    assert told["aic"] == pytest.approx(2 * number - 2 * log_likelihood, abs=0.2)
-    assert told["bic"] == pytest.approx(np.log(n) * number - 2 * log_likelihood, abs=0.2)
-    assert told["chi2"] == pytest.approx(squares, abs=0.2)
-    assert told["degrees_of_freedom"] == n - number
+        number += quantity != "torque"
+    number, n = number + len(TRUTH), sum(map(len, read.values()))
+    assert found.n_fitted == number
+    assert told["aic"] == pytest.approx(2 * number - 2 * log_likelihood, abs=0.5)
+    assert told["bic"] == pytest.approx(np.log(n) * number - 2 * log_likelihood, abs=0.5)
+    assert told["chi2"] == pytest.approx(squares, abs=0.5)
+    assert told["degrees_of_freedom"] == pytest.approx(n - number, abs=0.5)
 
 
 @pytest.mark.parametrize("level", [0.95, 0.8])
-def test_intervals_are_as_wide_as_their_level_says(laboratory, level):
+def test_intervals_are_as_wide_as_their_level_says(laboratory, fits, level):
     """Of keys that are known to 1 %, so that their logarithms are as good as themselves."""
-    found, _ = laboratory(1, level=level)
+    found = fits[0][0] if level == 0.95 else laboratory((2, 0), level=level)[0]
     for one in found.to_dict()["parameters"].values():
         low, high = one["interval"]
         assert 0.0 < one["sd"] < 0.01 * one["estimate"]
         half = 0.5 * (high - low) / one["sd"]
-        assert half == pytest.approx(norm.ppf(0.5 + 0.5 * level), rel=0.03)
+        assert half == pytest.approx(norm.ppf(0.5 + 0.5 * level), rel=0.06)
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say(laboratory):
-    """Six numbers of each fit, which hardly depend on each other."""
+def test_intervals_hold_the_truth_as_often_as_they_say(fits):
+    """Six numbers of each fit, which hardly depend on each other; chi2 is by chance."""
     errors, inside = [], []
-    for seed in range(FITS):
-        found, _ = laboratory((2, seed))
+    for found in fits[0]:
         for key, one in found.to_dict()["parameters"].items():
             errors.append((one["estimate"] - TRUTH[key]) / one["sd"])
             inside.append(one["interval"][0] < TRUTH[key] < one["interval"][1])
@@ -131,6 +133,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(laboratory):
             errors.append((one["estimate"] - true) / one["sd"])
             inside.append(abs(errors[-1]) < norm.ppf(0.975))
     assert len(inside) == 6 * FITS
-    assert 0.90 <= np.mean(inside) <= 0.98
-    assert np.std(errors) == pytest.approx(1.0, abs=0.18)  # three times how well 144 tell it
-    assert np.mean(errors) == pytest.approx(0.0, abs=0.25)
+    assert 0.88 <= np.mean(inside) <= 0.99
+    assert np.std(errors) == pytest.approx(1.0, abs=0.25)  # three times how well 72 tell it
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.35)
+    assert kstest([found.p_value for found in fits[0]], "uniform").pvalue > 0.01

@@ -16,13 +16,10 @@ from laboratory import (
     write_tests,
 )
 from mpi4py import MPI
-from parts import curve, penalised
-from scipy.interpolate import make_smoothing_spline
 
 import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.estimation.record_checks import input_trends
-from ringwear_par.identification.fit import fit_problem
+from ringwear_par.identification.doubts import input_trends
 
 K, MU = "wear.lower.k", "contact.friction"
 FRICTION = [[0.0, 0.06], [20.0, 0.1], [50.0, 0.12], [END, 0.12]]
@@ -39,7 +36,8 @@ def write_measured(folder, truth, pressures):
         write_table(folder / f"m{number}.csv", ("t_s", "m_Nm"), t, 1e-3 * torque)
         experiment["input"] = [{**INPUT, "file": str(folder / f"m{number}.csv"), "smooth": "none"}]
         experiment["set"]["wear.lower.p0"] = truth["wear.lower.p0"]
-        experiment["data"][0]["nuisance"]["drift"] = {}
+        experiment["data"][0]["nuisance"]["drift"] = {"prior": {"normal": [0.3, 0.1]}}
+        del experiment["data"][1]
     tables = fit_tables(folder, experiments)
     tables["fit"]["parameters"] = {K: FITTED[K]}
     return tables
@@ -56,43 +54,6 @@ def written(tmp_path_factory):
 def tables(written):
     """Their fit file as a dict."""
     return copy.deepcopy(written[1])
-
-
-# -- curves ----------------------------------------------------------------------------------------
-
-
-def test_a_spline_with_knots_at_all_readings_is_the_smoothing_spline_of_scipy():
-    """Two readings at each knot are one of twice the weight."""
-    knots = np.linspace(0.0, 3.0, 24)
-    x = np.repeat(knots, 2)
-    value = np.sin(x) + 0.1 * np.random.default_rng(0).standard_normal(48)
-    spline, _ = penalised(x, value, 24)
-    # what its penalty is follows from the least: f (y - f) = penalty times the integral of f''^2
-    bends = spline.derivative(2)(np.linspace(0.0, 3.0, 47))  # straight between knots
-    weights = np.array([1.0, *[4.0, 2.0] * 22, 4.0, 1.0]) * (knots[1] / 6.0)
-    penalty = float(spline(x) @ (value - spline(x)) / (weights @ bends**2))
-    assert 1e-5 < penalty < 1.0
-    mean = value.reshape(24, 2).mean(axis=1)
-    expected = make_smoothing_spline(knots, mean, w=np.full(24, 2.0), lam=penalty)(knots)
-    np.testing.assert_allclose(spline(knots), expected, rtol=1e-8)
-
-
-def test_cross_validation_follows_friction_and_not_its_noise():
-    t, rng = np.linspace(20.0, 7200.0, 360), np.random.default_rng(1)
-    mu = 0.15 - 0.04 * np.exp(-t / 1200.0)
-    smoothed = curve(t, mu * (1.0 + 0.02 * rng.standard_normal(360)), "auto", 7200.0)
-    assert np.abs(smoothed(t) / mu - 1.0).max() < 0.02
-    assert np.std(smoothed(t) / mu) < 0.005
-    assert smoothed(0.0) == smoothed(20.0)
-    wave = 0.02 * np.sin(2.0 * np.pi * t / 1200.0) * (t > 4800.0)  # late, where knots are far apart
-    followed = curve(t, (mu + wave) * (1.0 + 0.02 * rng.standard_normal(360)), "auto", 7200.0)
-    assert np.std(followed(t) / (mu + wave)) < 0.012
-
-
-def test_of_waves_of_the_given_period_half_is_left():
-    t = np.linspace(0.0, 1000.0, 4000)
-    smoothed = curve(t, 1.0 + 0.1 * np.sin(2.0 * np.pi * t / 50.0), 50.0, 1000.0)(t)
-    assert np.ptp(smoothed[1000:3000]) == pytest.approx(0.1, rel=0.01)
 
 
 def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubted(tables, written):
@@ -118,47 +79,36 @@ def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubt
     assert "friction" in sentence
 
 
-# -- fits ------------------------------------------------------------------------------------------
-
-
-def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables, comm):
+@pytest.mark.slow
+def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables):
     """Without noise it is the true one; at the nominal mean radius it is a thousandth off."""
-    problem = read_fit(tables)
     t = np.linspace(0.0, END, 50)
     true = np.interp(t, *np.transpose(FRICTION))
-    nominal = problem.experiments[0].case.friction(t)
+    nominal = read_fit(tables).experiments[0].case.friction(t)
     assert 3e-4 < np.abs(nominal / true - 1.0).max() < 2e-2
-    found = fit_problem(problem, comm)
-    known = copy.deepcopy(tables)
-    for experiment in known["experiment"]:
-        del experiment["input"]
-        experiment["set"][MU] = FRICTION
-    expected = rw.fit(known, MPI.COMM_SELF).parameters[0]
-    assert found.parameters[0].estimate == pytest.approx(expected.estimate, rel=1e-4)
-    assert found.parameters[0].sd == pytest.approx(expected.sd, rel=1e-2)
+    found = rw.fit(tables, MPI.COMM_SELF)
+    (k,) = found.parameters
+    assert abs(k.estimate - TRUTH[K]) < 0.15 * k.sd
     for inputs in found.to_dict()["inputs"].values():
         time, value = (np.array(inputs[MU][name]) for name in ("time", "value"))
         np.testing.assert_allclose(np.interp(t, time, value), true, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
     """Without threshold k mu counts: the variance of log k gains that of log mu."""
     plain = write_measured(tmp_path, {**TRUTH, "wear.lower.p0": 0.0}, (85.0,))
-    exact = rw.fit(plain, MPI.COMM_SELF)
     scaled = changed(plain, ("experiment", 0, "input", 0, "scale"),
-                     {"prior": {"normal": [1.0, 0.03]}})  # fmt: skip
-    found = rw.fit(scaled, MPI.COMM_SELF)
-    relative = [one.sd / one.estimate for one in (exact.parameters[0], found.parameters[0])]
-    assert relative[1] == pytest.approx(np.hypot(relative[0], 0.03), rel=0.02)
+                     {"prior": {"normal": [1.1, 0.03]}})  # fmt: skip
+    exact, found = (rw.fit(tables, MPI.COMM_SELF) for tables in (plain, scaled))
+    relative = [one.parameters[0].sd / one.parameters[0].estimate for one in (exact, found)]
+    assert relative[1] == pytest.approx(np.hypot(relative[0], 0.03 / 1.1), rel=0.06)
     scale = found.to_dict()["inputs"]["test 1"][MU]["scale"]
-    assert scale["sd"] == pytest.approx(0.03, rel=0.02)
-    assert scale["estimate"] == pytest.approx(1.0, abs=0.01)
+    assert scale["sd"] == pytest.approx(0.03, rel=0.1)
+    assert scale["estimate"] == pytest.approx(1.1, abs=0.01)
     # a calibration that is known to be off is taken so
-    off = changed(scaled, ("experiment", 0, "input", 0, "scale"),
-                  {"prior": {"normal": [1.1, 1e-6]}})  # fmt: skip
-    assert rw.fit(off, MPI.COMM_SELF).parameters[0].estimate == pytest.approx(
-        exact.parameters[0].estimate / 1.1, rel=1e-3
-    )
+    ratio = found.parameters[0].estimate / exact.parameters[0].estimate
+    assert ratio == pytest.approx(1.0 / 1.1, rel=5e-3)
 
 
 def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
@@ -178,9 +128,6 @@ def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
     assert case.load.force(50.0) == pytest.approx(85.0 * case.area)
     assert case.load.omega(50.0) == pytest.approx(np.pi)
     assert case.friction(60.0) == pytest.approx(0.12, rel=5e-3)
-
-
-# -- refusals --------------------------------------------------------------------------------------
 
 
 def test_inputs_that_are_refused(tables, written):

@@ -1,74 +1,101 @@
-"""Keys in fit.json, in the unit of the user and as specific wear rates."""
+"""Keys in fit.json, in the unit of the user and as specific wear rates; verdicts by draws."""
 
 import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from mpi4py import MPI
+from scipy.stats import expon, uniform
 
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.fit import expected_result
-from ringwear_par.identification.fit_numbers import specific_wear_rate
-from ringwear_par.identification.summary import key_rows
+from ringwear_par.identification.fit_numbers import in_users_unit, specific_wear_rate
+from ringwear_par.identification.key_estimates import judged
+from ringwear_par.identification.summary import digits_of, key_rows, limits, number, probabilities
 
-
-def expected(tables, key="wear.lower.k"):
-    """Return the entry of a key in fit.json, at its start."""
-    fit = expected_result(read_fit(tables), MPI.COMM_SELF)
-    return fit.to_dict()["parameters"][key]
+K, P0 = "wear.lower.k", "wear.lower.p0"
+ENTRY = {"estimate": 1.3e-7, "sd": 1e-9, "interval": [1.28e-7, 1.32e-7], "verdict": "identified",
+         "unit": "1/MPa"}  # fmt: skip
+DRAWS = np.random.default_rng(0).standard_normal(20_000)
 
 
 def test_keys_are_stored_in_the_users_unit(good):
     tables = copy.deepcopy(good)
-    tables["fit"]["parameters"]["wear.lower.k"]["start"] = "1.3e-4 mm3/(N m)"
-    tables["fit"]["parameters"]["wear.lower.p0"]["start"] = 20.0
-    entry = expected(tables)
-    (row,) = key_rows("wear.lower.k", entry)  # once, not in the case's unit too
+    tables["fit"]["parameters"][K]["start"] = "1.3e-4 mm3/(N m)"
+    tables["fit"]["units"] = {P0: "bar"}
+    problem = read_fit(tables)
+    k, p0 = problem.parameters
+    case = problem.experiments[0].case
+    told = in_users_unit(k, ENTRY, case)
+    (row,) = key_rows(K, {**ENTRY, "told": told})  # once, not in the case's unit too
     assert row.unit == "mm3/(N m) per friction energy"
     assert row.estimate == pytest.approx(1.3e-4)
     for name in ("estimate", "sd", "interval"):
-        assert getattr(row, name) == pytest.approx(1e3 * np.array(entry[name]))
-    assert "specific_wear_rate" not in entry  # there is a threshold
-    tables["fit"]["units"] = {"wear.lower.k": "um2/N", "wear.lower.p0": "bar"}
-    assert expected(tables)["told"]["unit"] == "um2/N"
-    p0 = expected(tables, "wear.lower.p0")["told"]
-    assert p0["estimate"] == pytest.approx(200.0)
-    assert "per" not in p0
+        assert getattr(row, name) == pytest.approx(1e3 * np.array(ENTRY[name]))
+    assert row.value == "0.00013 mm3/(N m) per friction energy"
+    bar = in_users_unit(p0, {"estimate": 20.0, "sd": 1.0, "interval": [None, 22.0]}, case)
+    assert (bar["estimate"], bar["interval"]) == (
+        pytest.approx(200.0),
+        [None, pytest.approx(220.0)],
+    )
+    assert "per" not in bar
+    # there is a threshold
+    assert (
+        specific_wear_rate(
+            problem, K, {K: ENTRY, P0: {**ENTRY, "estimate": 25.0}}, np.zeros((2, 2))
+        )
+        is None
+    )
 
 
 def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(good):
     tables = copy.deepcopy(good)
-    del tables["fit"]["parameters"]["wear.lower.p0"]
+    del tables["fit"]["parameters"][P0]
     for experiment in tables["experiment"]:
-        experiment["set"] |= {"wear.lower.p0": 0.0, "contact.friction": 0.1}
-    entry = expected(tables)
-    rate = entry["specific_wear_rate"]
+        experiment["set"] |= {P0: 0.0, "contact.friction": 0.1}
+    problem = read_fit(tables)
+    k = np.exp(np.log(1.3e-7) + 0.1 * DRAWS)
+    entry = {**ENTRY, "estimate": np.median(k), "sd": k.std(),
+             "interval": np.quantile(k, [0.025, 0.975]).tolist()}  # fmt: skip
+    rate = specific_wear_rate(problem, K, {K: entry}, k[:, None])
     assert (rate["unit"], rate["mu"]) == ("mm3/(N m)", 0.1)
     for name in ("estimate", "sd", "interval"):
-        assert rate[name] == pytest.approx(100.0 * np.array(entry[name]))
+        assert rate[name] == pytest.approx(100.0 * np.array(entry[name]), rel=0.01)
     assert rate["in3 min/(ft lbf h)"] == pytest.approx(rate["estimate"] / 201.44, rel=1e-4)
-    # mu fitted too: standard deviations of logarithms, which depend on each other
-    problem = read_fit(tables)
+    # mu fitted too, which k depends on
     friction = replace(problem.parameters[0], key="contact.friction")
     problem = replace(problem, parameters=(problem.parameters[0], friction))
-    k, mu, rk, rm, rho = 1e-7, 0.2, 0.1, 0.05, -0.6
-    entries = {
-        "wear.lower.k": {
-            "estimate": k,
-            "sd": rk * k,
-            "interval": [k / 1.2, 1.2 * k],
-            "interval_of": "linear model",
-        },
-        "contact.friction": {"estimate": mu},
-    }
-    both = rho * rk * k * rm * mu
-    covariance = [[(rk * k) ** 2, both], [both, (rm * mu) ** 2]]
-    rate = specific_wear_rate(problem, "wear.lower.k", entries, covariance)
-    assert rate["estimate"] == pytest.approx(1e3 * k * mu)
-    sd = np.sqrt(rk**2 + rm**2 + 2.0 * rho * rk * rm)
-    assert rate["sd"] == pytest.approx(sd * rate["estimate"])
-    assert np.log(rate["interval"][1] / rate["estimate"]) == pytest.approx(1.959964 * sd)
-    entries["wear.lower.k"]["interval_of"] = "scatter integrated"  # no normal distribution
-    rate = specific_wear_rate(problem, "wear.lower.k", entries, covariance)
-    assert rate["interval"] == [None, None]
+    mu = 0.2 * np.exp(-0.08 * DRAWS)
+    entries = {K: entry, "contact.friction": {"estimate": 0.2}}
+    rate = specific_wear_rate(problem, K, entries, np.column_stack([k, mu]))
+    assert rate["estimate"] == pytest.approx(1e3 * 1.3e-7 * 0.2, rel=0.01)
+    assert np.log(rate["interval"][1] / rate["estimate"]) == pytest.approx(1.96 * 0.02, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("draws", "verdict", "ends"),
+    [
+        (3.0 + 0.5 * DRAWS, "identified", [2.02, 3.98]),
+        (expon.ppf(uniform.cdf(np.linspace(1e-4, 0.9999, 9999))), "at bound", [None, 3.0]),
+        (10.0 - expon.ppf(np.linspace(1e-4, 0.9999, 9999)), "at bound", [7.0, None]),
+        (np.linspace(0.0, 10.0, 9999), "not identified", [None, None]),
+        (np.clip(5.0 + 1.8 * DRAWS, 0.01, 9.99), "not identified", [1.47, 8.53]),
+    ],
+)
+def test_verdicts(draws, verdict, ends):
+    """Of a key between 0 and 10, flat before: of sd 2.9."""
+    found, interval = judged(draws, 0.0, 10.0, 10.0 / np.sqrt(12.0), 0.95)
+    assert found == verdict
+    for one, end in zip(interval, ends, strict=True):
+        assert one == (None if end is None else pytest.approx(end, abs=0.05))
+
+
+def test_numbers_as_people_read_them():
+    """No more digits than draws know, no exponent up to a million."""
+    assert digits_of(1.3e-7, [1.0e-7, 1.6e-7]) == 3
+    assert digits_of(25.03, [24.9, 25.1]) == 4
+    assert [number(v) for v in (34567.0, 1.2345e-7, 2.5)] == ["34600", "1.23e-07", "2.5"]
+    assert limits([None, 0.5]) == "less than 0.5"
+    assert limits([0.5, None]) == "more than 0.5"
+    assert limits([None, None]) == "no limit within its bounds"
+    assert probabilities({"a": 0.0, "b": np.log(3.0)}) == pytest.approx({"a": 0.25, "b": 0.75})
+    assert probabilities({"a": -np.inf, "b": -np.inf, "c": None}) == {}

@@ -7,21 +7,22 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
-from parts import drawn_series, expected_result, read_fit
+from parts import drawn_series
 
-from ringwear_par.pictures import fit_panels
+import ringwear_par as rw
+from ringwear_par.pictures import fit_panels, key_panels
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    """What is known before a fit of one test with a penetration, a profile and a mass."""
+    """The fit of one test with a penetration, a profile and a mass."""
     folder = tmp_path_factory.mktemp("figures")
     experiments = write_tests(folder, (60.0,))
     mass = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1, "density": 0.0019}
     experiments[0]["data"].append(mass)
     sought = {**FITTED, "wear.lower.p0": {"start": 25.0, "bounds": [0.0, 200.0]}}
     tables = fit_tables(folder, experiments, parameters=sought)
-    return expected_result(read_fit(tables), MPI.COMM_WORLD)
+    return rw.fit(tables, MPI.COMM_WORLD)
 
 
 def series_at(radii, edges, quantity="profile.lower", unit="um"):
@@ -59,30 +60,42 @@ def test_residuals_are_data_less_model(found):
     check_texts(chart)
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
-    for axes, (_, series, part) in zip(panels, found.misfit.records, strict=False):
-        expected = (series.value - found.evaluation.model[part]) / series.sd
+    (test,) = found.tests
+    for axes, (series, part) in zip(panels, test.records, strict=False):
+        expected = (series.value - test.model[part]) / series.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
         assert drawn == pytest.approx(expected)
 
 
-def test_a_key_that_is_not_identified_has_neither_curve_nor_ellipse(found):
-    def labels(chart):
-        check_texts(chart)
-        return [[*filter(None, axes.get_legend_handles_labels()[1])] for axes in chart.axes]
-
-    assert labels(found.plot_parameters())[1] == ["68 % ellipse", "95 % ellipse"]
-    lost = replace(found.parameters[1], verdict="not identified", sd=None, interval=(None, None))
-    chart = replace(found, parameters=(found.parameters[0], lost)).plot_parameters()
-    assert labels(chart)[1:] == [[], ["best fit"]]
+def test_densities_and_pairs_are_those_of_the_draws(found):
+    """With the interval's ends, one where there is one limit, and the verdict."""
+    check_texts(found.plot_parameters())
+    values = found.draws.values(found.draws.material)
+    draws, outcome = dict(zip(found.draws.keys, values.T, strict=True)), found.to_dict()
+    ((alone,), (pair, _)) = key_panels.fitted_keys(outcome, draws)
+    low, high = outcome["parameters"]["wear.lower.k"]["interval"]
+    assert [curve.x[0] for curve in alone.curves][:2] == pytest.approx([1e7 * low, 1e7 * high])
+    assert alone.labels == []
+    for axis, column in zip(("x", "y"), values.T, strict=True):
+        shown = getattr(pair.points[0], axis)
+        assert len(shown) == 1000
+        assert np.median(shown) / np.median(column) in (
+            pytest.approx(1e7, 0.02),
+            pytest.approx(1, 0.02),
+        )
+    outcome["parameters"]["wear.lower.k"] |= {"verdict": "at bound", "interval": [None, high]}
+    ((limited,), _) = key_panels.fitted_keys(outcome, draws)
+    assert len(limited.curves) == 2
+    assert [label.text for label in limited.labels] == ["at bound"]
 
 
 def test_long_tests_are_drawn_in_hours(found):
     """As results are; the numbers are those of the file, in s."""
-    (test,) = found.misfit.problem.experiments
-    series = test.series[0]
+    (test,) = found.tests
+    series, part = test.records[0]
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, label in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
-        x, axis = drawn_series(found, test, one, found.misfit.records[0].rows).along()
+        x, axis = drawn_series(found, test, one, part).along()
         assert x == pytest.approx(one.x / seconds)
         assert axis.label == label

@@ -1,0 +1,144 @@
+"""What is assumed of specimens and sizes, against integrals over the material's value."""
+
+import numpy as np
+import pytest
+from linear_tests import KEYS, emulator, experiment, parameter, problem, series
+from parts import ProcessNoise
+from scipy.integrate import quad
+from scipy.stats import halfnorm, multivariate_normal, norm, truncnorm
+from scipy.stats import t as student_t
+
+from ringwear_par.identification.definition.problem import Prior, Scatter
+from ringwear_par.identification.funnel import Funnel
+from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
+from ringwear_par.identification.posterior import Layout, Posterior
+
+RNG = np.random.default_rng(3)
+BATCHES = np.array([0, 0, 1, 1, 1])
+LOW, HIGH = -1.0, 1.5
+READ = series([0.3, -0.1], 0.5)
+
+
+def problem_of(sizes, *more, **settings):
+    """Return a problem of five specimens, of two batches, whose first key scatters."""
+    tests = [experiment(READ, name=f"T{i}", groups=(f"S{i}", f"B{b}", ""))
+             for i, b in enumerate(BATCHES)]  # fmt: skip
+    scattering = parameter(0, (LOW, HIGH), scatter=Scatter(sizes, 0.4))
+    return problem([scattering, *more], tests, **settings)
+
+
+def theta_of(layout, count=6):
+    """Return theta (count, d) within the bounds, specimens near each other or not."""
+    theta = 0.3 * RNG.standard_normal((count, layout.dimension))
+    for place, _ in layout.sizes:
+        theta[:, place] = np.log(RNG.uniform(0.05, 0.6, count))
+    return theta
+
+
+def half_t(log_size, scale):
+    """Return the log density of the logarithm of a size, but for a constant."""
+    return student_t.logpdf(np.exp(log_size) / scale, 4) + log_size
+
+
+def same_but_for_a_constant(found, expected, most=1e-6):
+    found, expected = np.asarray(found), np.asarray(expected)
+    assert found - found[0] == pytest.approx(expected - expected[0], abs=most)
+
+
+def test_the_material_is_integrated_out():
+    layout = Layout(problem_of({"specimen": None}))
+    theta, expected = theta_of(layout), []
+    for one in theta:
+        tau, x = np.exp(one[0]), one[1:]
+        weight, _ = quad(lambda b, x=x, t=tau: np.exp(norm.logpdf(x, b, t).sum()), LOW, HIGH,
+                         epsabs=0.0, limit=200, points=[x.mean()])  # fmt: skip
+        expected.append(np.log(weight) + half_t(one[0], 0.4))
+    same_but_for_a_constant(layout.log_prior(theta), expected)
+    # and is drawn again
+    many = layout.material(np.tile(theta[0], (20_000, 1)), np.random.default_rng(0))[:, 0]
+    mean, sd = theta[0, 1:].mean(), np.exp(theta[0, 0]) / np.sqrt(5)
+    known = truncnorm((LOW - mean) / sd, (HIGH - mean) / sd, mean, sd)
+    assert many.mean() == pytest.approx(known.mean(), abs=0.03 * sd)
+    assert many.std() == pytest.approx(known.std(), rel=0.03)
+
+
+def test_specimens_of_a_batch_share_a_deviation():
+    layout = Layout(problem_of({"specimen": None, "batch": 0.25}))
+    theta, expected = theta_of(layout), []
+    same = np.equal.outer(BATCHES, BATCHES)
+    for one in theta:
+        matrix, x = np.exp(2.0 * one[0]) * np.eye(5) + 0.25**2 * same, one[1:]
+        centre = np.linalg.solve(matrix, x).sum() / np.linalg.inv(matrix).sum()
+        weight, _ = quad(
+            lambda b, x=x, m=matrix: np.exp(multivariate_normal.logpdf(x - b, cov=m)), LOW, HIGH,
+            epsabs=0.0, limit=200, points=[np.clip(centre, LOW + 0.01, HIGH - 0.01)],
+        )  # fmt: skip
+        expected.append(np.log(weight) + half_t(one[0], 0.4))
+    same_but_for_a_constant(layout.log_prior(theta), expected, 1e-5)
+    (scattering,) = layout.scatterings
+    assert scattering.spread(theta) == pytest.approx(np.hypot(np.exp(theta[:, 0]), 0.25))
+
+
+def test_what_is_outside_is_impossible():
+    more = parameter(1, (0.5, 8.0), log=True, prior=Prior(2.0, 0.3))
+    process = {"wear.lower": ProcessNoise(scale=0.05), "wear.upper": ProcessNoise(share=0.02)}
+    layout = Layout(problem_of({"specimen": 0.3}, more, process=process))
+    assert (layout.dimension, layout.share_places) == (7, [1, None])
+    theta = theta_of(layout)
+    theta[:, 0] = np.log(RNG.uniform(0.6, 4.0, 6))
+    expected = norm.logpdf(np.exp(theta[:, 0]), 2.0, 0.3) + theta[:, 0] + half_t(theta[:, 1], 0.05)
+    specimens = [norm.logpdf(x, x.mean(), 0.3).sum() for x in theta[:, 2:]]
+    same_but_for_a_constant(layout.log_prior(theta), expected + specimens, 1e-3)
+    for place, value in ((0, np.log(8.1)), (0, np.log(0.4)), (1, np.log(1.1)), (1, np.log(9e-4))):
+        moved = theta[:1].copy()
+        moved[0, place] = value
+        assert layout.log_prior(moved) == -np.inf
+    np.testing.assert_array_equal(layout.shares(theta, np.array([np.nan, 0.02]))[:, 1], 0.02)
+    anywhere = layout.anywhere(2000, RNG)
+    assert np.isfinite(layout.log_prior(anywhere)).all()
+
+
+def test_tests_of_a_specimen_share_its_value_and_of_an_emulator_its_coordinates():
+    tests = [experiment(READ, name=name, groups=(specimen, "", ""))
+             for name, specimen in (("a", "S1"), ("b", "S2"), ("c", "S1"))]  # fmt: skip
+    of = problem(
+        [parameter(0, (LOW, HIGH), scatter=Scatter({"specimen": 0.2})), parameter(1)], tests
+    )
+    slopes = np.array([[1.0, 0.5], [0.2, -1.0]])
+    emulated = emulator(np.zeros(2), slopes, [-1.0, -2.0], [1.0, 2.0])
+    setting = Setting(READ.sd, np.zeros(2))
+    likelihoods = [EmulatedLikelihood(TestLikelihood(test, setting, np.zeros(0)), emulated)
+                   for test in tests]  # fmt: skip
+    posterior = Posterior(of, likelihoods, np.zeros(0))
+    theta = np.array([[0.5, -0.3, 0.4], [0.1, 0.2, 0.3], [2.5, 0.0, 0.0]])
+    np.testing.assert_array_equal(
+        posterior.of_tests(theta)[0], [[-0.3, 0.5], [0.4, 0.5], [-0.3, 0.5]]
+    )
+    found = posterior(theta)
+    assert found[2] == -np.inf  # out of the box, within the bounds
+    logs = [norm.logpdf(READ.value, slopes @ x, READ.sd).sum() for one in theta[:2]
+            for x in posterior.of_tests(one)]  # fmt: skip
+    known = np.reshape(logs, (2, 3)).sum(axis=1) + posterior.log_prior(theta[:2])
+    same_but_for_a_constant(found[:2], known)
+    half = posterior(theta[:2], 0.5) - posterior(theta[:2], 0.0)
+    assert 2.0 * half == pytest.approx(posterior(theta[:2]) - posterior(theta[:2], 0.0))
+    assert posterior.problem.keys == KEYS
+
+
+@pytest.mark.parametrize("keys", [1, 2])
+def test_the_change_of_variables_has_its_volume(keys):
+    second = parameter(1, (-3.0, 3.0), scatter=Scatter({"specimen": None}, 0.5))
+    layout = Layout(problem_of({"specimen": None}, *[second][: keys - 1]))
+    draws = layout.anywhere(4000, RNG)
+    for place, scale in layout.sizes:
+        draws[:, place] = np.log(halfnorm.rvs(scale=scale, size=4000, random_state=4))
+    funnel, theta = Funnel(layout, draws), theta_of(layout)
+    flat = funnel.flat(theta)
+    again, volume = funnel.theta(flat)
+    assert again == pytest.approx(theta, abs=1e-10)
+    step, d = 1e-6, layout.dimension
+    for one, log_volume in zip(flat, volume, strict=True):
+        moved = one + step * np.vstack([np.eye(d), -np.eye(d)])
+        columns = funnel.theta(moved)[0]
+        jacobian = (columns[:d] - columns[d:]) / (2.0 * step)
+        assert np.linalg.slogdet(jacobian)[1] == pytest.approx(log_volume, abs=1e-6)
