@@ -127,7 +127,10 @@ class FitResult(Outcome):
 
     @property
     def aic(self) -> float:
-        """Akaike's information criterion at the mode; nuisances and fitted noise are integrated."""
+        """Akaike's information criterion at the mode, but for a constant of the readings.
+
+        Nuisances and fitted noise are integrated out, as in the posterior.
+        """
         posterior, best = self.solution.posterior, self.solution.best[None]
         shares = posterior.shares(best, posterior.known)
         log_p = float(posterior.of_readings(posterior.of_tests(best), shares)[0])
