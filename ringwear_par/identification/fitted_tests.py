@@ -23,9 +23,9 @@ from ringwear_par.identification.posterior import Posterior
 #: step of differences of log p, in the sd of an unknown
 _STEP = 0.02
 #: values of the next specimen over which the likelihood of a test is averaged
-_SPECIMENS = 32
+_SPECIMENS = 64
 #: sd of these about the draws, over that of what is left open
-_WIDER = 1.5
+_WIDER = 2.0
 
 
 class Explained(NamedTuple):

@@ -102,8 +102,8 @@ def _series(outcome: Mapping[str, Any]) -> page.Table:
             limits, unit = entry.get("censored", 0), entry["unit"]
             notes = [counted(limits, "limit")] if limits else []
             for kind, found in outcome["nuisance"].get(test, {}).get(name, {}).items():
-                note = f"{kind} {_with_sd(found)} {unit}{_PER.get(kind, '')}"
-                note += f" in {_with_sd(found['time'])} s" if "time" in found else ""
+                note = f"{kind} {_with_sd(found, f' {unit}' + _PER.get(kind, ''))}"
+                note += f" in {_with_sd(found['time'], ' s')}" if "time" in found else ""
                 notes.append(note)
             noise, chi2 = f"{entry.get('sd', 0.0):.3g}", f"{entry['chi2']:.4g}"
             rows.append(
@@ -113,11 +113,11 @@ def _series(outcome: Mapping[str, Any]) -> page.Table:
     return _cells("Series", header, rows)
 
 
-def _with_sd(entry: Mapping[str, Any], digits: int = 3) -> str:
+def _with_sd(entry: Mapping[str, Any], unit: str = "") -> str:
     """Return an estimate and its sd; None: the readings do not change it."""
     if entry["sd"] is None:
         return "not identified"
-    return f"{entry['estimate']:.{digits}g} (u = {entry['sd']:.2g})"
+    return f"{entry['estimate']:.4g}{unit} (u = {entry['sd']:.2g})"
 
 
 def _inputs(outcome: Mapping[str, Any]) -> page.Table:
@@ -126,7 +126,7 @@ def _inputs(outcome: Mapping[str, Any]) -> page.Table:
     rows = [
         (f"{key} ({test})", str(entry["n"]), f"{min(entry['value']):.4g}",
          f"{max(entry['value']):.4g}", entry["unit"], f"{100.0 * entry['scatter']:.2g}",
-         _with_sd(entry["scale"], 4) if "scale" in entry else "")
+         _with_sd(entry["scale"]) if "scale" in entry else "")
         for test, inputs in outcome["inputs"].items()
         for key, entry in inputs.items()
     ]  # fmt: skip

@@ -57,7 +57,7 @@ def test_a_value_of_a_specimen_is_integrated_out():
     material = np.linspace(-1.0, 3.0, 1000)[:, None]
     found = log_p_of_tests(posterior, drawn, material, np.full((1000, 1), 2.0), np.zeros((1000, 0)))
     exact = norm.logpdf(material, 1.0, np.hypot(0.5, 2.0)) + 0.5 * np.log(2.0 * np.pi * 0.25)
-    assert found == pytest.approx(exact, abs=0.03)
+    assert found == pytest.approx(exact, abs=0.05)
 
 
 def test_verdicts_follow_the_density_at_bounds():
