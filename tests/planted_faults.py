@@ -200,10 +200,10 @@ FAULTS = [
           "return values[::-1].reshape(-1, *values.shape[2:])",
           "identification/test_fit_folder.py -k read_as"),
     Fault("information of a next test", "identification/design/information.py",
-          "return information - np.einsum(", "return information + np.einsum(",
+          "rows, rows) - np.einsum(", "rows, rows) + np.einsum(",
           "identification/design/test_design.py::test_the_best_tests_by_brute_force"),
     Fault("next specimens", "identification/design/information.py",
-          "np.diag(1.0 / variances[some])", "np.diag(variances[some])",
+          "+ own * scatter, own)", "+ own / scatter, own)",
           "identification/design/test_design.py::test_only_the_number_of_specimens_matters"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",
@@ -225,7 +225,7 @@ FAULTS = [
           "volume += np.log(np.diag(self._factor)).sum()", "volume += 0.0",
           "monitoring/test_follow.py::test_laws_are_as_probable_as_by_hand"),
     Fault("weights of new draws", "monitoring/follower.py",
-          "x, coordinates, ratio + log_l", "x, coordinates, 0.5 * (ratio + log_l)",
+          "x, coordinates, power * log_p", "x, coordinates, 0.5 * power * log_p",
           "monitoring/test_follow.py::test_a_sensor_that_leaves_few_draws"),
 ]  # fmt: skip
 

@@ -1,7 +1,6 @@
 """The dry run of a fit: what its readings would tell if the parameters had their starts."""
 
 from collections import defaultdict
-from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -11,18 +10,15 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, counted, warning_lines
 from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.definition.scatter import expected_sizes, known_sizes
+from ringwear_par.identification.design.information import information
 from ringwear_par.identification.doubts import assumptions
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
-from ringwear_par.identification.likelihood import Setting, TestLikelihood
+from ringwear_par.identification.likelihood import Setting
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import settings_at
 from ringwear_par.identification.summary import KeyRow
 from ringwear_par.results.execution.stop_signals import StopSignals
-
-#: variance of readings of normal noise over that of the loss "student" that tells as much
-_STUDENT = 5.0 / 7.0
 
 
 def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
@@ -36,32 +32,25 @@ def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
 def _covariance(readings: Readings) -> FloatArray:
     """Return the covariance (m, m) of the unknowns that readings and priors leave, linear."""
     refuse_unfit(readings)
-    problem, m = readings.problem, len(readings.problem.parameters)
+    problem, loss = readings.problem, readings.problem.settings.loss
     start = np.tile(problem.unknowns([*problem.start.values()]), (len(problem.experiments), 1))
-    loss, processes = problem.settings.loss, problem.settings.process.values()
+    processes = problem.settings.process.values()
     settings = [Setting.before(test, loss, len(processes)) for test in problem.experiments]
-    shares = np.array([process.share or 0.5 * process.scale for process in processes])
-    settings = settings_at(readings, settings, start, shares, first=True)
+    expected = np.array([process.expected_share for process in processes])
+    settings = settings_at(readings, settings, start, expected, first=True)
     _, slopes = readings.jacobians(start)
-    tau = np.zeros(m)
-    for (key, _), size in expected_sizes(problem).items():
-        tau[problem.keys.index(key)] += size**2
-    information = np.diag([prior_sd(p) ** -2 for p in problem.parameters])
+    variances = np.array([p.scatter.variance if p.scatter else 0.0 for p in problem.parameters])
+    known = np.diag([prior_sd(p) ** -2 for p in problem.parameters])
     for test, setting, slope in zip(readings.problem.experiments, settings, slopes, strict=True):
         if not np.isfinite(slope).all():
             raise ComputationError(
                 f"{problem.name}: test {test.name}: no history at the start: {readings.reason}"
             )
-        sd = np.concatenate([series.sd for series in test.series])
-        sd = sd / np.sqrt(_STUDENT if loss == "student" else 1.0)
-        own = np.zeros((m, m))
-        for noise, growth in TestLikelihood(test, replace(setting, sd=sd), shares).noises:
-            rows = noise(slope[noise.rows])
-            taken = growth.directions(rows, np.zeros(m))[len(growth.times) // 2]
-            own += rows.T @ rows - taken.T @ taken
-        # of tests of one specimen too: they are taken as if of several
-        information += np.linalg.solve(np.eye(m) + own * tau, own)
-    return np.linalg.inv(information)
+        shares = np.where(np.isnan(setting.shares), expected, setting.shares)
+        every = range(len(test.series))
+        # tests of one specimen too are taken as if of several
+        known += information(test, every, setting, shares, slope[:, None], loss, variances)[0]
+    return np.linalg.inv(known)
 
 
 def _in_words(problem: Problem, covariance: FloatArray) -> str:
@@ -82,16 +71,18 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
         at, (low, high) = parameter.unknown(parameter.start), bounds[:, j]
         ends = [at - reach * sd, at + reach * sd]
         interval = [parameter.value(end) / scale if low < end < high else None for end in ends]
-        row = KeyRow(
-            parameter.key, parameter.start / scale, sd, unit * (unit not in ("1", "-")), interval
-        )
+        row = KeyRow(parameter.key, parameter.start / scale, sd, unit, interval)
         words = f"{row.ends} ({100 * level:g} %)"
         if sd > VAGUE * prior_sd(parameter):
             words = f"would not be identified: {direction(problem, covariance, j)}"
         of = " of the material" * (parameter.scatter is not None)
         lines.append(f"  {row.label.ljust(width)}  {row.value}{of}  {words}")
-    specimens = len({test.groups[0] for test in problem.experiments})
-    lines += [f"  {line}" for line in known_sizes(problem, specimens)]
+    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter]
+    if taken := [key for key, sizes in scatters if None in sizes.values()]:
+        lines.append(
+            f"  the scatter of {', '.join(taken)} is taken as known; a fit of few specimens, which "
+            "has to find it, has wider intervals"
+        )
     lines += _readings(problem)
     if problem.alternatives:
         lines.append(f"to be compared: {', '.join(problem.alternatives)}")

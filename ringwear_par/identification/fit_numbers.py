@@ -123,7 +123,7 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
             name: {
                 k: v
                 for k, v in alternative.to_dict().items()
-                if k not in ("alternatives", "data", "key")
+                if k not in ("alternatives", "data")
             }
             for name, alternative in fit.alternatives.items()
         }
@@ -131,7 +131,6 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "loss": problem.settings.loss,
         "versions": dict(fit.versions),
         "data": dict(problem.hashes),
-        "key": problem.key,
     }  # fmt: skip
 
 

@@ -305,7 +305,7 @@ class Readings:
             experiments[number] = test.with_radius(
                 Table(tuple(at.tolist()), tuple(radius.tolist()))
             )
-        return self.problem.with_experiments(tuple(experiments))
+        return replace(self.problem, experiments=tuple(experiments))
 
 
 def _alike(a: Experiment, b: Experiment) -> bool:

@@ -11,6 +11,7 @@ together, is interpolated between nodes.
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -36,6 +37,8 @@ _PRIOR_SDS = 4.5
 _COUNTS = 15.0
 #: singular value of nuisances, over the largest, below which they are not distinct
 _DEPENDENT = 1e-10
+#: (nodes, weights) by their number
+_nodes = cache(leggauss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +191,7 @@ class Growth:
         #: numbers of the series
         self.series = [i for i in numbers if i in setting.times]
         alone = _JOINT_NODES if setting.clocks or setting.scales else _TIME_NODES
-        at, weights = leggauss(alone if len(self.series) < 2 else _EACH_NODES)
+        at, weights = _nodes(alone if len(self.series) < 2 else _EACH_NODES)
         means, known = np.zeros((2, len(self.series)))
         starts = np.cumsum([0, *(test.series[i].n for i in numbers)])
         nodes: list[list[tuple[float, float, FloatArray]]] = []

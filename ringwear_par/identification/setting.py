@@ -85,7 +85,7 @@ def random_wear(
     bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
     if not bodies:
         return [[] for _ in tests], np.zeros(0)
-    readings.problem = problem.with_experiments(tuple(_with_volumes(t, bodies) for t in tests))
+    readings.problem = replace(problem, experiments=tuple(_with_volumes(t, bodies) for t in tests))
     wanted = [(i, x[i : i + 1]) for i in range(len(tests))]
     usual = [y[0] for y in readings(wanted)]
     slopes, worn = [], []
@@ -140,7 +140,7 @@ def _scales(readings: Readings, number: int, middle: FloatArray) -> tuple[FloatA
         for sign in (-1.0, 1.0):
             changed = _with_input(test, measured, 1.0 + sign * _DIFFERENCE)
             tests = [changed if t is test else t for t in problem.experiments]
-            readings.problem = problem.with_experiments(tuple(tests))
+            readings.problem = replace(problem, experiments=tuple(tests))
             both.append(readings([(number, middle[number : number + 1])])[0][0])
         slope = (both[1] - both[0]) / (2.0 * _DIFFERENCE)
         columns.append(slope * measured.scale.sd / measured.scale.mean)

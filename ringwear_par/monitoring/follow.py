@@ -2,11 +2,12 @@
 
 import json
 import logging
-import re
 import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,16 +15,17 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, legible, reason_of
+from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.draws import NEXT
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import Answer
+from ringwear_par.monitoring.answer import Answer, lines_of, page_of, warnings_of
 from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.monitor import Monitor, Targets
+from ringwear_par.monitoring.histories import frame_of
+from ringwear_par.monitoring.monitor import Asked, Monitor
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
@@ -93,83 +95,49 @@ def run_follow(
     running, percent, mm = on_first_rank(comm, begin)
     fit: Any = after
     if after is None:
-        others = on_first_rank(comm, running.other_tests)
-        fit = fit_problem(others, comm)
-    followed = on_first_rank(comm, lambda: _followed(running, after, fit_knowledge(fit)))
+        fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
+    known = on_first_rank(comm, lambda: fit_knowledge(fit))
+
+    def read() -> _Followed:
+        return _followed(running, after, known)
+
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
     command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])
-    files = _Files(folder, command)
     with StopSignals() as signals:
-        readings = Readings(followed.problem, comm, signals)
+        readings = Readings(on_first_rank(comm, read).problem, comm, signals)
 
-        def lead() -> None:
-            known, problem, of = followed.known, followed.problem, followed.specimen
+        def monitor_of(followed: _Followed) -> Monitor:
             readings.tell(f"histories of {legible(running.name)}")
+            problem, of = followed.problem, followed.specimen
             followers = {"": Follower(known.draws, of, problem, readings, draws, seed)}
             for law, other in problem.alternatives.items():  # by this rank alone
                 alone = Readings(other, MPI.COMM_SELF, signals)
                 followers[law] = Follower(known.laws[law], of, other, alone, draws, seed)
-            of_laws = {"": known.draws, **known.laws} if problem.alternatives else {}
-            evidences = {law: of_laws[law].log_evidence for law in followers if law in of_laws}
+            laws = {"": known.draws, **known.laws} if problem.alternatives else {}
+            evidences = {law: laws[law].log_evidence for law in followers if law in laws}
             whom = of if of == NEXT else f"specimen {legible(of)}"
-            targets = Targets(_key_of(problem), percent, mm)
-            monitor = Monitor(followers, known.draws, evidences, targets, whom, followed.doubts)
-            _loop(followed, monitor, files, once, lambda: bool(signals.received))
+            asked = Asked(_key_of(problem), percent, mm, whom, followed.doubts)
+            return Monitor(followers, known.draws, evidences, asked)
 
-        try:
-            readings.lead(lead)
-        except StoppedError:
-            if on_first_rank(comm, lambda: files.answer is None):
-                raise
+        def lead() -> list[str]:
+            return _loop(
+                running, read, monitor_of, folder, command, once, lambda: bool(signals.received)
+            )
+
+        lines = readings.lead(lead)
     if comm.rank == 0:
-        print(files.closing_words())
+        print("\n".join(lines))
 
 
 class _Followed(NamedTuple):
-    """A test that is followed, with what is known before it."""
+    """A test that is followed, and of whom the draws are before it."""
 
-    running: RunningTest
     #: of it alone, with the random wear that the fit knows, under all laws that are compared
     problem: Problem
-    known: FitKnowledge
     #: the next specimen, or one of the fit's
     specimen: str
     doubts: tuple[str, ...]
-
-    def read(self) -> Problem:
-        """Return the problem with the readings so far.
-
-        Raises
-        ------
-        InputError : its faults; the file has other keys or another case than at the beginning.
-        """
-        problem, before = self.running.read(), self.problem
-        same = _content(problem) == _content(before)
-        laws = {law: problem.alternatives.get(law, problem) for law in before.alternatives}
-        if not same or any(
-            _content(laws[n]) != _content(law) for n, law in before.alternatives.items()
-        ):
-            raise InputError(
-                f"{self.running.source}: fit.parameters, compare or the case of "
-                f"{legible(self.running.name)} changed; must stay while it is followed"
-            )
-        process = before.settings.process
-        return _with_process(replace(problem, alternatives=laws), process)
-
-
-def _content(problem: Problem) -> tuple[Any, str]:
-    """Return what of a problem of one test must stay: its keys, and its case but for inputs."""
-    (test,) = problem.experiments
-    case = test.case.replace({entry.key: 1.0 for entry in test.inputs})
-    return problem.parameters, case.text
-
-
-def _with_process(problem: Problem, process: Mapping[str, ProcessNoise]) -> Problem:
-    """Return a problem with random wear, under all its laws."""
-    settings = replace(problem.settings, process=process)
-    laws = {n: replace(law, settings=settings) for n, law in problem.alternatives.items()}
-    return replace(problem, settings=settings, alternatives=laws)
 
 
 def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> _Followed:
@@ -191,10 +159,6 @@ def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> 
         )
     doubts = [doubt.text for doubt in doubts_of(known, experiment.case, specimen)]
     doubts += [
-        f"law {legible(law)} is not compared: {running.source} has no compare.{legible(law)}"
-        for law in known.laws if law not in asked
-    ]  # fmt: skip
-    doubts += [
         f"law {legible(law)} is not compared: {known.name} has no draws of it"
         for law in asked if not known.laws
     ]  # fmt: skip
@@ -211,84 +175,66 @@ def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> 
         check_predicted(draws, of_law.experiments[0].case, of_law.name, specimen)
     sizes = zip(BODIES, known.draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    problem = _with_process(replace(problem, alternatives=laws), process)
-    return _Followed(running, problem, known, specimen, tuple(doubts))
+    settings = replace(problem.settings, process=process)
+    laws = {name: replace(law, settings=settings) for name, law in laws.items()}
+    problem = replace(problem, settings=settings, alternatives=laws)
+    return _Followed(problem, specimen, tuple(doubts))
 
 
 def _loop(
-    followed: _Followed,
-    monitor: Monitor,
-    files: "_Files",
+    running: RunningTest,
+    read: Callable[[], _Followed],
+    monitor_of: Callable[[_Followed], Monitor],
+    folder: Path,
+    command: str,
     once: bool,
     stopped: Callable[[], bool],
-) -> None:
-    """Answer whenever the files change, until the end of the test."""
-    stamps, warned, waiting = None, "", False
-    while not stopped():
-        if (present := followed.running.file_stamps) != stamps:
-            stamps = present
-            try:
-                problem = followed.read()
-            except InputError as error:  # it is being written, or was replaced
-                if once:
-                    raise
-                if (reason := reason_of(error)) != warned:
-                    log.warning("%s; the last answer stays until that changes", reason)
-                warned = reason
-            else:
-                answer = monitor.answer(problem)
-                ended = once or answer.ended
-                files.write(answer, monitor, last=ended)
-                if ended:
-                    return
-                if not waiting:
-                    waiting = True
-                    end = problem.experiments[0].case.time.end
-                    log.info("waiting for readings up to %g s, the end of the test", end)
-        time.sleep(_LOOK)
-    files.write_page()
-
-
-class _Files:
-    """The last answer and its page, written anew as readings come. On one rank."""
-
-    def __init__(self, folder: Path, command: str) -> None:
-        self._folder, self._command = folder, command
-        self.answer: Answer | None = None
-        self._monitor: Monitor | None = None
-        self._paged, self._printed, self._alarmed, self._has_page = -_PAUSE, -_PAUSE, False, True
-
-    def write(self, answer: Answer, monitor: Monitor, *, last: bool) -> None:
-        """Write an answer, its page now and then and at last, and say it; or ComputationError."""
-        self.answer, self._monitor = answer, monitor
-        content = {**answer.to_dict(), "versions": versions()}
-        write_outcome(self._folder, "follow", {FOLLOW: lambda: json_bytes(content)})
-        now = time.monotonic()
-        if last or now - self._paged > _PAUSE:
-            self.write_page()
-        alarm = answer.alarm is not None and not self._alarmed
-        if not last and (alarm or now - self._printed > _PAUSE):
-            print("\n".join(answer.lines(warnings=alarm)), flush=True)
-            self._printed, self._alarmed = now, self._alarmed or alarm
-
-    def write_page(self) -> None:
-        """Write the page of the last answer; without bokeh there is none."""
-        if self.answer is None or self._monitor is None or not self._has_page:
-            return
-        self._paged, path = time.monotonic(), self._folder / PAGE
+) -> list[str]:
+    """Answer whenever the files change, until the end of the test; return the last words."""
+    answer: Answer | None = None
+    stamps, warned, frame, said, alarmed, ended = None, "", None, -_PAUSE, False, False
+    while not (ended or stopped()):
+        if (present := running.file_stamps) == stamps:
+            time.sleep(_LOOK)
+            continue
+        stamps = present
         try:
-            check_page(path)
-        except InputError as error:
-            self._has_page = False
-            log.warning("%s", error)
-            return
-        write_page(self.answer.page(self._monitor.record(), self._command, versions()), path)
+            followed = read()
+            if frame_of(followed.problem) != frame:
+                monitor, frame = monitor_of(followed), frame_of(followed.problem)
+        except InputError as error:  # it is being written, or was replaced
+            if once:
+                raise
+            if (reason := reason_of(error)) != warned:
+                log.warning("%s; the last answer stays until that changes", reason)
+            warned = reason
+            continue
+        except StoppedError:
+            break
+        answer = monitor.answer(followed.problem)
+        content, ended = {**answer, "versions": versions()}, once or answer["ended"]
+        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, content)})
+        alarm = answer["alarm"] is not None and not alarmed
+        if not ended and (alarm or time.monotonic() - said > _PAUSE):
+            _write_page(folder, answer, monitor, command)
+            warnings = warning_lines(warnings_of(answer) if alarm else [])
+            print("\n".join([*lines_of(answer), *warnings]), flush=True)
+            said, alarmed = time.monotonic(), alarmed or alarm
+    if answer is None:
+        raise StoppedError("stopped before the first answer")
+    written = _write_page(folder, answer, monitor, command)
+    return [*lines_of(answer), *warning_lines(warnings_of(answer)), *written]
 
-    def closing_words(self) -> str:
-        """Return the last answer in words, and the names of its files."""
-        assert self.answer is not None
-        names = [self._folder / name for name in (FOLLOW, PAGE)[: 1 + self._has_page]]
-        return "\n".join([*self.answer.lines(), f"written: {', '.join(map(str, names))}"])
+
+def _write_page(folder: Path, answer: Answer, monitor: Monitor, command: str) -> list[str]:
+    """Write the page of an answer; return what stands in the folder, and why there is no page."""
+    outcome, page = folder / FOLLOW, folder / PAGE
+    try:
+        check_page(page)
+    except InputError as error:
+        return [*warning_lines([str(error)]), f"written: {outcome}"]
+    write_page(page_of(answer, monitor.record(), command, versions()), page)
+    return [f"written: {outcome}, {page}"]
 
 
 def _key_of(problem: Problem) -> int:
@@ -298,13 +244,8 @@ def _key_of(problem: Problem) -> int:
 
 
 def _percent(text: str, faults: list[str]) -> float:
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%?\s*", text)
-    if match is None or not 0.0 < float(match[1]) < 100.0:
-        faults.append(f"--to = {legible(text)}: must be a percentage, such as 10%")
-        return np.nan
-    if float(match[1]) < 1.0 and "%" not in text:
-        faults.append(
-            f"--to = {legible(text)}: is a share or a percentage; must be "
-            f"{100.0 * float(match[1]):g}% or {match[1]}%"
-        )
-    return float(match[1])
+    with suppress(ValueError):
+        if 1.0 <= (percent := float(text.strip().removesuffix("%"))) < 100.0:
+            return percent
+    faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
+    return np.nan

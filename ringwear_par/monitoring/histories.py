@@ -3,6 +3,7 @@
 Polynomials tell a history at the ends of steps; readings, whenever they come, lie between these.
 """
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,16 @@ _SHARE = 0.05
 def times_of(test: Experiment) -> FloatArray:
     """Return the times (n,) s of all readings of a test."""
     return np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
+
+
+def frame_of(problem: Problem) -> tuple[Hashable, ...]:
+    """Return all of a problem of one test but its readings over time, which histories are for."""
+    (test,) = problem.experiments
+    frame: list[Hashable] = [problem.parameters, str(problem.settings)]
+    for s in test.series:
+        fixed = b"" if READING_KINDS[s.kind].values else s.x.tobytes()
+        frame += [s.name, s.at, s.nuisances, s.correlation_time, s.sd_fitted, fixed]
+    return (*frame, test.case.text, *(frame_of(law) for law in problem.alternatives.values()))
 
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
@@ -65,7 +76,7 @@ class Histories:
         """
         (test,), bodies = problem.experiments, len(problem.settings.process)
         plan, middle = _plan(test), np.median(x, axis=0)
-        readings.problem = problem.with_experiments((plan,))
+        readings.problem = replace(problem, experiments=(plan,))
         settings = [Setting.before(plan, "", bodies)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _SHARE)
@@ -92,22 +103,19 @@ class Histories:
         return _SCALE * self.emulator.error
 
     @property
+    def columns(self) -> FloatArray:
+        """Readings (n, 1 + r) of the plan by 1 and the coordinates."""
+        return np.column_stack([self.emulator.mean, self.emulator.modes.T])
+
+    @property
     def time(self) -> FloatArray:
         """(steps,) s, ends of steps, the start included."""
         return self.plan.series[0].x
 
-    def suits(self, test: Experiment) -> bool:
-        """Tell whether they have all that is read of a test, but for its case."""
-        fixed = {s.name: s for s in self.plan.series}
-        return all(
-            s.name in fixed and s.at == fixed[s.name].at and np.array_equal(s.x, fixed[s.name].x)
-            for s in test.series if READING_KINDS[s.kind].values is None
-        )  # fmt: skip
-
     def at_steps(self, quantity: str) -> FloatArray:
         """Return (steps, 1 + r) a quantity by 1 and the coordinates; "depth" is mean, in mm."""
         volume = quantity.replace("depth", "volume")
-        part = self._parts(_columns(self.emulator))[f"all {volume}"]
+        part = self._parts(self.columns)[f"all {volume}"]
         return part if volume == quantity else part / self.plan.case.area
 
     def _parts(self, columns: FloatArray) -> dict[str, FloatArray]:
@@ -137,7 +145,7 @@ class Histories:
 
     def emulator_of(self, test: Experiment) -> Emulator:
         """Return the emulator of the readings of a test."""
-        both = self.read(_columns(self.emulator), test)
+        both = self.read(self.columns, test)
         return replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
 
     def setting_of(self, test: Experiment, loss: str) -> Setting:
@@ -168,8 +176,3 @@ def _plan(test: Experiment) -> Experiment:
 def _ends(test: Experiment) -> IntArray:
     """Return where series of a test end and others begin."""
     return np.cumsum([series.n for series in test.series])[:-1]
-
-
-def _columns(emulator: Emulator) -> FloatArray:
-    """Return readings (n, 1 + r) by 1 and the coordinates."""
-    return np.column_stack([emulator.mean, emulator.modes.T])

@@ -1,17 +1,17 @@
 """Answers to the readings of a running test: they depend on these alone, however they came."""
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.draws import Draws
+from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit_numbers import in_users_unit
 from ringwear_par.identification.summary import probabilities
-from ringwear_par.monitoring.answer import Alarm, Answer, Goal
+from ringwear_par.monitoring.answer import lines_of
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.histories import part_of, times_of
 from ringwear_par.monitoring.outlook import surprise, time_to, time_to_goal
@@ -25,32 +25,28 @@ from ringwear_par.results.variables import DISPLAY_UNITS
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: effective draws below which intervals are rough; share of the draws at edges of what was drawn
-#: before, and error of histories over their spread, that are told
-_FEW, _AT_EDGES, _ROUGH = 300.0, 0.01, 2e-3
+#: effective draws below which intervals are rough; error of histories over their spread that is
+#: told; share of the draws that is told at edges of what was drawn before, and part of the box
+#: that is at its edges
+_FEW, _ROUGH, _AT_EDGES, _EDGE = 300.0, 2e-3, 0.01, 0.97
 #: histories of which a band is drawn
 _DRAWN = 1000
+#: share of its time from which on a test has ended
+_ENDED = 0.999
 
 
 @dataclass(frozen=True)
-class Targets:
+class Asked:
     """What is asked of a running test."""
 
-    #: number of the key whose interval is to become narrow
+    #: number of the key whose interval is to become narrow: half its width over the median
     key: int
-    #: half its width over the median
     percent: float
     #: mm, of penetration; None: none
     depth: float | None
-
-
-class _Window(NamedTuple):
-    #: (m, 3) low end, median and high end of the keys by the readings before the window
-    intervals: FloatArray
-    #: probability of each law by these
-    laws: Mapping[str, float]
-    #: of readings so far off in the window
-    probability: float
+    #: of whom the draws are before the test, and the doubts that there are then
+    whom: str = NEXT
+    doubts: tuple[str, ...] = ()
 
 
 class Monitor:
@@ -60,7 +56,6 @@ class Monitor:
     ----------
     followers : of its specimen by law, "" for that of the fit.
     evidences : logarithms of the fit's, by law; empty where none is compared.
-    whom : in words, of whom the draws are before the test.
     """
 
     def __init__(
@@ -68,117 +63,85 @@ class Monitor:
         followers: Mapping[str, Follower],
         draws: Draws,
         evidences: Mapping[str, float],
-        targets: Targets,
-        whom: str,
-        doubts: tuple[str, ...],
+        asked: Asked,
     ) -> None:
-        self._followers, self._draws, self._targets = followers, draws, targets
-        self._evidences, self._whom, self._doubts = evidences, whom, doubts
-        #: by the readings until their end, and what is asked of them
-        self._windows: dict[tuple[Any, ...], _Window] = {}
+        self._followers, self._draws, self._asked = followers, draws, asked
+        self._level = followers[""].problem.settings.level
+        self._evidences, self._before = evidences, self._intervals(followers[""].before)
+        #: entry of the trace and probability of a window, by the readings until its end
+        self._windows: dict[Hashable, tuple[list[float], float]] = {}
 
-    def answer(self, problem: Problem) -> Answer:
-        """Return the answer to the readings so far.
+    def answer(self, problem: Problem) -> dict[str, Any]:
+        """Return the answer to the readings so far, the contents of follow.json.
+
+        Of ``trace`` an entry is time, low end, median and high end of the goal's key, and the
+        probabilities of laws; the first one before the test.
 
         Parameters
         ----------
         problem : of the running test, with its readings so far.
         """
-        for law, follower in self._followers.items():
-            if not follower.suits(of_law := problem.alternatives.get(law, problem)):
-                follower.prepare(of_law)
-                self._windows.clear()
-        (test,), targets, follower = problem.experiments, self._targets, self._followers[""]
+        (test,), asked, follower = problem.experiments, self._asked, self._followers[""]
         times, end, window = times_of(test), test.case.time.end, test.case.time.end / WINDOWS
-        before = self._intervals(follower.before, problem)
-        laws_before = probabilities(self._evidences)
-        trace: list[list[float]] = []
-        law_trace = [[0.0, *laws_before.values()]]
+        laws_before, key = probabilities(self._evidences), problem.keys[asked.key]
+        trace = [[0.0, *self._before[asked.key].tolist(), *laws_before.values()]]
         alarm, now = None, float(times.max())
-
-        def note(time: float, intervals: FloatArray, laws: Mapping[str, float]) -> None:
-            trace.append([time, *intervals[targets.key].tolist()])
-            law_trace.append([time, *laws.values()])
-
         for number in range(1, WINDOWS):
             low, high = np.array([number, number + 1]) * window * (1.0 + 1e-9)
             old, new = times <= low, (times > low) & (times <= high)
             if high > now * (1.0 + 2e-9) or not old.any() or not new.any():
                 continue
-            seen = self._window(problem, old, new)
-            note(float(times[old].max()), seen.intervals, seen.laws)
-            if seen.probability < _IMPROBABLE:
-                alarm = Alarm(float(times[new].min()), seen.probability)
+            entry, probability = self._window(problem, old, new)
+            trace.append(entry)
+            if probability < _IMPROBABLE:
+                alarm = {"time": float(times[new].min()), "probability": probability}
                 break
-        counted = times < (np.inf if alarm is None else alarm.time)
-        until = float(times[counted].max())
+        counted = times < (np.inf if alarm is None else alarm["time"])
         part = part_of(test, counted)
         found = follower.update(part)
-        self._found, self._test, self._level = found, part, problem.settings.level
-        intervals, laws = self._intervals(found, problem), self._laws(problem, counted, found)
-        if trace and trace[-1][0] >= until:
-            del trace[-1], law_trace[-1]
-        note(until, intervals, laws)
-        units = dict(zip(self._draws.keys, self._draws.units, strict=True))
-        keys: dict[str, dict[str, Any]] = {}
-        for parameter, (low, median, high), (first, _, last) in zip(
-            problem.parameters, intervals.tolist(), before.tolist(), strict=True
-        ):
-            entry = {
-                "unit": units[parameter.key], "estimate": median, "interval": (low, high),
-                "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
-            }  # fmt: skip
-            told = in_users_unit(parameter, entry, problem.experiments[0].case)
-            keys[parameter.key] = entry if told is None else {**entry, "told": told}
-        key = problem.keys[targets.key]
+        laws, until = self._laws(problem, counted, found), float(times[counted].max())
+        if len(trace) > 1 and trace[-1][0] >= until:
+            del trace[-1]
+        intervals = self._intervals(found)
+        trace.append([until, *intervals[asked.key].tolist(), *laws.values()])
+        self._last = found, part
+        keys = self._keys(problem, intervals)
         percent = keys[key]["percent"]
-        when, less = time_to_goal(
-            follower, found, part, targets.key, targets.percent / percent, until
-        )
+        ratio = asked.percent / percent
+        time, less = time_to_goal(follower, found, part, asked.key, ratio, until)
         depth = None
-        if targets.depth is not None:
-            reached = time_to(follower, found, targets.depth, until)
-            depth = targets.depth, TimeTo.of(reached, problem.settings.level)
-        doubts, effective = self._doubts, found.effective
-        if effective < _FEW:
-            doubts += (
-                f"these readings leave only {effective:.0f} of {len(found.weights)} draws: "
-                "intervals are rough; use more draws (--draws), and check that the earlier tests "
-                "are of the same material and rig",
-            )
-        if follower.at_edges(found) > _AT_EDGES:
-            doubts += (
-                "this specimen is beyond almost all that the earlier tests let expect: intervals "
-                "are cut off there; check that they are of the same material and rig",
-            )
-        if follower.histories.error > _ROUGH:
-            doubts += (
-                f"histories between draws are known to {100 * follower.histories.error:.2g} % of "
-                "their spread: a layer is worn through, or a threshold is reached, at some draws",
-            )
-        return Answer(
-            test.name, self._whom, now, end, len(times), problem.settings.level, keys,
-            Goal(key, targets.percent, when, percent * less), depth, alarm, np.array(trace),
-            len(found.weights), effective, found.redraws, follower.histories.error, doubts,
-            {law or "this law": (laws_before[law], laws[law]) for law in laws},
-            np.array(law_trace),
-        )  # fmt: skip
+        if asked.depth is not None:
+            reached = time_to(follower, found, asked.depth)
+            when = TimeTo.of(reached, self._level)
+            depth = {"depth": asked.depth, **when._asdict()}
+        answer = {
+            "test": test.name, "whom": asked.whom, "time": now, "end": end,
+            "ended": now >= _ENDED * end, "readings": len(times), "level": self._level,
+            "keys": keys, "depth": depth, "alarm": alarm, "trace": trace,
+            "goal": {"key": key, "percent": asked.percent, "time": time, "at_end": percent * less},
+            "draws": len(found.weights), "effective_count": found.effective,
+            "redraws": found.redraws, "interpolated": follower.histories.error,
+            "doubts": [*asked.doubts, *self._doubts(found)],
+            "laws": {law or "this law": (laws_before[law], laws[law]) for law in laws},
+        }  # fmt: skip
+        return {**answer, "summary": lines_of(answer)}
 
-    def _window(self, problem: Problem, old: BoolArray, new: BoolArray) -> _Window:
+    def _window(
+        self, problem: Problem, old: BoolArray, new: BoolArray
+    ) -> tuple[list[float], float]:
         """Return what old readings tell, and how probable new ones are by them."""
         (test,), follower = problem.experiments, self._followers[""]
         both = part_of(test, old | new)
-        content: tuple[Any, ...] = (problem.settings.level,)
-        for s in both.series:
-            limits = np.array(s.censored).tobytes()
-            columns = s.x.tobytes(), s.value.tobytes(), s.sd.tobytes(), limits
-            content += (s.name, s.nuisances, s.correlation_time, s.sd_fitted, *columns)
+        content = tuple(
+            (s.name, s.x.tobytes(), s.value.tobytes(), s.sd.tobytes(), str(s.censored))
+            for s in both.series
+        )
         if content not in self._windows:
-            found = follower.update(part_of(test, old))
-            told = times_of(both) > times_of(test)[old].max()
-            p = surprise(follower, found, both, told) if found.likelihood else 1.0
+            found, last = follower.update(part_of(test, old)), times_of(test)[old].max()
             laws = self._laws(problem, old, found)
-            self._windows[content] = _Window(self._intervals(found, problem), laws, p)
+            p = surprise(follower, found, both, times_of(both) > last) if found.likelihood else 1.0
+            interval = self._intervals(found)[self._asked.key].tolist()
+            self._windows[content] = [float(last), *interval, *laws.values()], p
         return self._windows[content]
 
     def _laws(self, problem: Problem, counted: BoolArray, found: Specimen) -> dict[str, float]:
@@ -191,15 +154,52 @@ class Monitor:
             evidences[law] = before + (evidence if law else found.log_evidence)
         return probabilities(evidences)
 
-    def _intervals(self, found: Specimen, problem: Problem) -> FloatArray:
+    def _intervals(self, found: Specimen) -> FloatArray:
         """Return low end, median and high end of each key, (m, 3)."""
-        tail = 0.5 * (1.0 - problem.settings.level)
+        tail = 0.5 * (1.0 - self._level)
         columns = self._draws.values(found.unknowns[:, : len(self._draws.keys)]).T
         return np.array([quantiles(c, found.weights, (tail, 0.5, 1.0 - tail)) for c in columns])
 
+    def _keys(self, problem: Problem, intervals: FloatArray) -> dict[str, dict[str, Any]]:
+        """Return entries of the keys, as in fit.json, with the interval before the test."""
+        keys, case = {}, problem.experiments[0].case
+        units = dict(zip(self._draws.keys, self._draws.units, strict=True))
+        for parameter, (low, median, high), (first, _, last) in zip(
+            problem.parameters, intervals.tolist(), self._before.tolist(), strict=True
+        ):
+            entry = {
+                "unit": units[parameter.key], "estimate": median, "interval": (low, high),
+                "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
+            }  # fmt: skip
+            told = in_users_unit(parameter, entry, case)
+            keys[parameter.key] = entry if told is None else {**entry, "told": told}
+        return keys
+
+    def _doubts(self, found: Specimen) -> list[str]:
+        doubts, histories = [], self._followers[""].histories
+        if found.effective < _FEW:
+            doubts.append(
+                f"these readings leave only {found.effective:.0f} of {len(found.weights)} draws: "
+                "intervals are rough; use more draws (--draws), and check that the earlier tests "
+                "are of the same material and rig"
+            )
+        box = histories.emulator.box
+        inside = box.inside(found.unknowns[:, : len(box.centre)])
+        if found.weights @ (np.abs(inside) > _EDGE).any(axis=1) > _AT_EDGES:
+            doubts.append(
+                "this specimen is beyond almost all that the earlier tests let expect: intervals "
+                "are cut off there; check that they are of the same material and rig"
+            )
+        if histories.error > _ROUGH:
+            doubts.append(
+                f"histories between draws are known to {100 * histories.error:.2g} % of their "
+                "spread: a layer is worn through, or a threshold is reached, at some draws"
+            )
+        return doubts
+
     def record(self) -> Panel | None:
         """Return the panel of the first record of penetration, approach or torque."""
-        found, histories, test = self._found, self._followers[""].histories, self._test
+        (found, test), histories = self._last, self._followers[""].histories
         rows = np.cumsum([0, *(series.n for series in test.series)])
         places = {s.quantity: i for i, s in reversed([*enumerate(test.series)])}
         known = [places[q] for q in ("penetration", "approach", "torque") if q in places]
@@ -210,7 +210,8 @@ class Monitor:
         steps = steps - steps[0] if quantity == "penetration" else steps
         tail = 0.5 * (1.0 - self._level)
         curves = np.quantile(found.chosen(_DRAWN) @ steps.T, (tail, 0.5, 1.0 - tail), axis=0)
-        added = found.likelihood.likelihood.nuisance_draws(found.middle[None])[0][0]
+        middle = self._followers[""].middle(found, test)
+        added = found.likelihood.likelihood.nuisance_draws(middle[None])[0][0]
         value = series.value - added[rows[known[0]] : rows[known[0] + 1]]
         symbol, factor = DISPLAY_UNITS.get(quantity, ("N mm", 1.0))
         unit, seconds = time_unit(test.case.time.end)

@@ -8,16 +8,16 @@ from scipy.special import fdtrc, logsumexp
 from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
-from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.histories import part_of, times_of
 from ringwear_par.prediction.prediction import times_at
 
 #: draws by which readings are predicted, and for the time to a depth
 _PREDICTED, _DRAWS = 1000, 2000
-#: most readings of a record that are planned to the end; times that a goal may be reached at
-_PLANNED, _TIMES = 300, 60
+#: times at which the sd of a key is expected
+_TIMES = 9
 
 
 def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArray) -> float:
@@ -41,7 +41,7 @@ def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArr
         for i in growth.series
     }
     emulator = follower.histories.emulator_of(test)
-    likelihood = TestLikelihood(test, follower.setting_like(found, test), found.shares)
+    likelihood = follower.likelihood_like(found, test)
     new = new & ~np.isin(np.arange(test.n), likelihood.limits)
     off, spread, freedom = [], [], np.inf
     for part, (noise, growth) in zip(likelihood.parts, likelihood.noises, strict=True):
@@ -86,32 +86,25 @@ def time_to_goal(
     """
     end, m = test.case.time.end, follower.m
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    times, root = times_of(planned), np.sqrt(found.weights)[:, None]
-    x = np.column_stack([found.unknowns[:, :m], np.ones(len(root))])
-    slopes = np.linalg.lstsq(root * x, root * found.coordinates, rcond=None)[0][:-1]
+    times, x = times_of(planned), found.unknowns[:, :m] - found.weights @ found.unknowns[:, :m]
+    weighed = found.weights * x.T
+    slopes = np.linalg.pinv(weighed @ x, hermitian=True) @ weighed @ found.coordinates
     by_key = (slopes @ follower.histories.emulator.modes).T
-    known = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
-
-    def sd_at(time: float) -> float:
-        information, part = known, part_of(planned, times <= time * (1.0 + 1e-9))
+    before = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
+    at, sds = np.linspace(now, end, _TIMES), []
+    for time in at:
+        information = before
+        part = part_of(planned, times <= time * (1.0 + 1e-9))
         if part.series:
-            likelihood = TestLikelihood(part, follower.setting_like(found, part), found.shares)
             jacobian = follower.histories.read(by_key, part)
-            for noise, growth in likelihood.noises:
+            for noise, growth in follower.likelihood_like(found, part).noises:
                 white = noise(jacobian[noise.rows])
                 taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
                 information = information + white.T @ white - taken.T @ taken
-        return float(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
-
-    at, first = np.linspace(now, end, _TIMES), sd_at(now)
-    low, high, least = -1, len(at) - 1, sd_at(end) / first
-    if least > ratio:
-        return None, least
-    while high - low > 1:
-        middle = (low + high) // 2
-        reached = sd_at(float(at[middle])) <= ratio * first
-        low, high = (low, middle) if reached else (middle, high)
-    return float(at[high]), least
+        sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
+    less = np.minimum.accumulate(sds) / sds[0]
+    reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
+    return reached, float(less[-1])
 
 
 def _to_end(series: Series, end: float) -> Series:
@@ -120,46 +113,32 @@ def _to_end(series: Series, end: float) -> Series:
         return series
     apart = float(np.median(np.diff(series.x)))
     more = np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart)
-    # fewer readings stand for all; those of correlated noise tell no more where they are many
-    every = max(-(-len(more) // _PLANNED), 1)
-    fewer = 1.0 if series.correlation_time else np.sqrt(every)
-    x = np.append(series.x, more[::-1][::every][::-1])
-    sd = np.append(series.sd, np.full(len(x) - series.n, series.sd[-1] / fewer))
-    return replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None)
+    x, sd = np.append(series.x, more), np.append(series.sd, np.full(len(more), series.sd[-1]))
+    return averaged(replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None), end)
 
 
-def time_to(follower: Follower, found: Specimen, depth: float, now: float) -> FloatArray:
+def time_to(follower: Follower, found: Specimen, depth: float) -> FloatArray:
     """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
 
-    Wear that is random goes on from what the readings tell of it: of the wear so far, the excess
-    over its mean is normal given the readings; later wear is random anew.
-
-    Parameters
-    ----------
-    now : s, of the last reading.
+    Wear that is random is a Gaussian process here, of which the readings tell the past.
     """
     histories, v, random = follower.histories, found.chosen(_DRAWS), np.random.default_rng(1)
     approach, time = histories.at_steps("approach"), histories.time
-    depths = v @ (approach - approach[0]).T
+    depths, steps = v @ (approach - approach[0]).T, len(time)
     for body, key in enumerate(follower.problem.settings.process):
-        worn = v @ histories.at_steps(f"depth.{body_of_wear(key)}").T
-        size = found.shares[body] ** 2 * follower.most[body]
-        at_now = np.array([np.interp(now, time, row) for row in worn])
-        excess, variance = np.zeros(len(v)), size * at_now
+        most, share = follower.most[body], found.shares[body]
+        clock = histories.at_steps(f"depth.{body_of_wear(key)}") @ histories.middle / most
+        variance, excess = (share * most) ** 2 * np.minimum.outer(clock, clock), 0.0
         if found.likelihood is not None:
             old, emulator = found.likelihood.likelihood, found.likelihood.emulator
-            likelihood = TestLikelihood(old.test, old.setting, found.shares)
-            ((noise, growth),), clock = likelihood.noises, old.setting.clocks[body]
+            ((noise, growth),), (slope, worn) = old.noises, old.setting.clocks[body]
             readings = v @ np.vstack([emulator.mean, emulator.modes])
-            node = int(np.argmax(likelihood.by_node(readings)[0].sum(axis=1)))
-            across = size * clock[0] * clock[1]  # its covariance with the readings
+            node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
+            across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
             rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
-            taken = growth.directions(rows, np.append(0.0, np.ones(len(v))))[node]
-            along = rows.T @ rows[:, 0] - taken.T @ taken[:, 0]
-            excess, variance = along[1:], np.maximum(variance - along[0], 0.0)
-        excess = excess + np.sqrt(variance) * random.standard_normal(len(v))
-        later = np.diff(np.maximum(worn, at_now[:, None]), axis=1, prepend=at_now[:, None])
-        steps = np.sqrt(size * np.maximum(later, 0.0)) * random.standard_normal(later.shape)
-        share = np.minimum(time / now, 1.0) if now > 0.0 else np.ones(len(time))
-        depths = depths + share * excess[:, None] + np.cumsum(steps, axis=1)
+            taken = growth.directions(rows, np.repeat([0.0, 1.0], [steps, len(v)]))[node]
+            along = rows[:, :steps].T @ rows - taken[:, :steps].T @ taken
+            variance, excess = variance - along[:, :steps], along[:, steps:].T
+        drawn = random.multivariate_normal(np.zeros(steps), variance, len(v), method="eigh")
+        depths = depths + excess + drawn
     return times_at(time, depths, depth)

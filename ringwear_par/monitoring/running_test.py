@@ -56,9 +56,8 @@ class RunningTest:
     source: Path
     #: of the experiment
     name: str
-    #: names of its files of data, and of measured inputs
-    data: frozenset[str]
-    inputs: frozenset[str]
+    #: names of its files, all of which grow
+    files: frozenset[str]
     #: whether the fit file has no other
     alone: bool
 
@@ -81,38 +80,32 @@ class RunningTest:
         if name not in named:
             known = ", ".join(legible(known) for known in named)
             raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
-        tables = named[name]
-        data, inputs = (
-            frozenset(
-                entry["file"]
-                for entry in (tables[kind] if isinstance(tables.get(kind), list) else [])
-                if isinstance(entry, Mapping) and isinstance(entry.get("file"), str)
-            )
+        files = frozenset(
+            entry["file"]
             for kind in ("data", "input")
+            for entry in (named[name][kind] if isinstance(named[name].get(kind), list) else [])
+            if isinstance(entry, Mapping) and isinstance(entry.get("file"), str)
         )
-        return cls(source, name, data, inputs, len(named) == 1)
+        return cls(source, name, files, len(named) == 1)
 
     @property
-    def files(self) -> frozenset[str]:
-        """Names of its files, all of which grow."""
-        return self.data | self.inputs
+    def _growing(self) -> GrowingFiles:
+        return GrowingFiles(self.source.parent, self.files)
 
     @property
     def missing(self) -> list[Path]:
-        """Its files that have too few readings yet."""
-        fewest = dict.fromkeys(self.data, 1) | dict.fromkeys(self.inputs, FEWEST_READINGS)
-        paths = {self.source.parent / name: least for name, least in sorted(fewest.items())}
-        return [path for path, least in paths.items() if not _has_readings(path, least)]
+        """Its files that have too few whole lines for any nuisances yet, that of names included."""
+        paths = [self.source.parent / name for name in sorted(self.files)]
+        return [path for path in paths if _lines(path) <= FEWEST_READINGS]
 
     @property
-    def file_stamps(self) -> list[tuple[int, int, int] | None]:
+    def file_stamps(self) -> list[tuple[int, int, int]]:
         """What changes when the fit file or one of the test's files is written to."""
-        paths = [self.source, *(self.source.parent / name for name in sorted(self.files))]
-        stamps: list[tuple[int, int, int] | None] = [None] * len(paths)
-        for number, path in enumerate(paths):
+        stamps = []
+        for name in (self.source.name, *sorted(self.files)):
             with suppress(OSError):  # it may be replaced just now
-                status = path.stat()
-                stamps[number] = status.st_ino, status.st_size, status.st_mtime_ns
+                status = (self.source.parent / name).stat()
+                stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
         return stamps
 
     def other_tests(self) -> Problem:
@@ -127,7 +120,7 @@ class RunningTest:
             raise InputError(
                 f"{place} has no test; --after must name the folder of a fit of others"
             )
-        whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
+        whole = read_fit(self.source, files=self._growing)
         tests = tuple(test for test in whole.experiments if test.name != self.name)
         faults: list[str] = []
         check_scatter(replace(whole, name=place, experiments=tests), faults)
@@ -142,8 +135,7 @@ class RunningTest:
         ------
         InputError : its faults, and what cannot be followed.
         """
-        files = GrowingFiles(self.source.parent, self.files)
-        problem = read_fit(self.source, test=self.name, files=files)
+        problem = read_fit(self.source, test=self.name, files=self._growing)
         (experiment,) = problem.experiments
         faults = [
             f"{self.source}: {legible(self.name)}: {series.file or series.name}: {assumption}; its "
@@ -164,9 +156,8 @@ def _with_series(problem: Problem, series: tuple[Series, ...]) -> Problem:
     return replace(problem, experiments=(replace(experiment, series=series),))
 
 
-def _has_readings(path: Path, fewest: int) -> bool:
-    """Tell whether a file has a line of names and enough whole lines below it."""
+def _lines(path: Path) -> int:
     try:
-        return path.read_bytes().count(b"\n") > fewest
+        return path.read_bytes().count(b"\n")
     except (OSError, ValueError):
-        return False
+        return 0

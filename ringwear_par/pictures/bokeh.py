@@ -7,27 +7,21 @@ page that is open changes a chart by new columns.
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 from bokeh.embed import json_item
 from bokeh.models import (
-    ColorBar,
     ColumnDataSource,
     FixedTicker,
     HoverTool,
     Legend,
     LegendItem,
-    LinearColorMapper,
-    LogColorMapper,
     PlainText,
     Range1d,
 )
 from bokeh.plotting import figure
-from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.pictures.panel import Axis, Band, Cells, Curve, Panel, Points
-from ringwear_par.pictures.style import CELL_COLOURS
+from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
 
 _MARKERS = {"dot": "circle", "level": "dash", "up": "triangle", "down": "inverted_triangle"}
 #: in the order of matplotlib's
@@ -40,7 +34,6 @@ KINDS = {
     "ends": _LINE,
     "levels": ("y",),
     "uprights": ("x",),
-    "cells": ("left", "right", "bottom", "top", "value"),
     "bars": ("y", "left", "right", "height", "label", "colour", "opacity"),
     "whiskers": ("x0", "y0", "x1", "y1", "colour"),
     "lines": _LINE,
@@ -54,8 +47,6 @@ _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
 _CHANGING = ("asides", "lines", "dots", "points", "labels")
 #: share of an axis that is left beyond what is drawn
 _ROOM = 0.04
-#: number of colours of cells
-_SHADES = 256
 #: decades above which numbers beside an axis have an exponent
 _LARGE = 7
 #: letters of labels in a line of a legend, and letters that the mark beside a label takes
@@ -95,8 +86,6 @@ def chart(name: str, panel: Panel, height: int, *, changing: bool = False) -> An
     plot.add_tools(
         HoverTool(renderers=pointed, tooltips=_POINTER, formatters=formats, visible=False)
     )
-    if panel.cells is not None and np.isfinite(panel.cells.values).any():
-        _add_colours(plot, panel.cells, marks["cells"])
     _add_legend(plot, marks, changing=changing)
     _style(plot, panel)
     return plot
@@ -115,9 +104,6 @@ def _add_marks(plot: Any, kind: str, source: Any) -> Any:
                 "x", "y", fill_alpha="opacity", fill_color="colour", line_color="colour",
                 line_width=0.7, source=source,
             )  # fmt: skip
-        case "cells":
-            sides = {side: side for side in ("left", "right", "bottom", "top")}
-            return plot.quad(**sides, line_color=None, source=source)
         case "levels":
             return plot.hspan(y="y", **dotted, source=source)
         case "uprights":
@@ -216,8 +202,6 @@ def _values(panel: Panel, number: int) -> Iterator[Any]:
         yield bars.places if number else bars.values
         if bars.starts is not None and not number:
             yield bars.starts
-    if panel.cells is not None:
-        yield panel.cells.borders()[number]
 
 
 def _range(axis: Axis, values: FloatArray) -> list[float]:
@@ -258,7 +242,6 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
         "ends": [_line(curve) for curve in ends],
         "levels": [(level,) for level in panel.levels],
         "uprights": [(upright,) for upright in panel.uprights],
-        "cells": [] if panel.cells is None else [*_cells(panel.cells)],
         "bars": [
             (place, start, end, bars.height, bars.name, bars.colour, bars.opacity)
             for bars in panel.bars
@@ -347,24 +330,6 @@ def _whiskers(panel: Panel) -> Iterator[tuple[Any, ...]]:
         if bars.errors is not None:
             for place, value, half in zip(bars.places, bars.values, bars.errors, strict=True):
                 yield float(value - half), float(place), float(value + half), float(place), "#222"
-
-
-def _cells(cells: Cells) -> Iterator[tuple[float, ...]]:
-    x, y = (borders.tolist() for borders in cells.borders())
-    for i, j in np.argwhere(np.isfinite(cells.values)).tolist():
-        yield x[j], x[j + 1], y[i], y[i + 1], float(cells.values[i, j])
-
-
-def _add_colours(plot: Any, cells: Cells, drawn: Any) -> None:
-    """Colour cells by their values, with a bar of the colours, and show these at the pointer."""
-    finite = cells.values[np.isfinite(cells.values)]
-    shades = matplotlib.colormaps[CELL_COLOURS](np.linspace(0.0, 1.0, _SHADES))
-    mapper = (LogColorMapper if cells.log else LinearColorMapper)(
-        palette=[to_hex(shade) for shade in shades], low=finite.min(), high=finite.max()
-    )
-    drawn.glyph.fill_color = {"field": "value", "transform": mapper}
-    plot.add_layout(ColorBar(color_mapper=mapper, title=PlainText(text=cells.label)), "right")
-    plot.add_tools(HoverTool(renderers=[drawn], tooltips="@value{0.0000}", visible=False))
 
 
 def _points(points: Points) -> Iterator[tuple[Any, ...]]:

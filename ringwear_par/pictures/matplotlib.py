@@ -9,14 +9,12 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, LogNorm, Normalize, to_rgba
+from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.legend import Legend
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from ringwear_par.pictures.panel import Axis, Cells, Curve, Label, Panel, Stages
+from ringwear_par.pictures.panel import Axis, Curve, Label, Panel, Stages
 from ringwear_par.pictures.style import (
-    CASING,
-    CELL_COLOURS,
     DASHES,
     STYLE,
     NotebookFigure,
@@ -71,7 +69,6 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             markeredgewidth=1.0 if points.hollow or points.marker == "level" else 0.0,
             rasterized=len(points.x) > _MANY,
             zorder=1.5 if points.cases is not None or len(points.x) > _MANY else 2.0,
-            path_effects=None if panel.cells is None else CASING,
         )  # fmt: skip
         if points.errors is not None:
             axes.errorbar(
@@ -92,27 +89,12 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             label=plain(bars.name),
             error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
         )  # fmt: skip
-    if panel.cells is not None:
-        _draw_cells(axes, panel.cells)
     if panel.stages is not None:
         _draw_stages(axes, panel.stages)
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
     if columns:
         add_legend(axes, panel.legend, columns)
-
-
-def _draw_cells(axes: Any, cells: Cells) -> None:
-    """Draw a table of values, with a bar of its colours."""
-    drawn = axes.pcolormesh(
-        *cells.borders(), cells.values, cmap=CELL_COLOURS, norm=LogNorm() if cells.log else None
-    )
-    bar = axes.figure.colorbar(drawn, ax=axes)
-    if cells.log:
-        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        bar.ax.yaxis.set_minor_locator(NullLocator())
-    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
-    bar.set_label(plain(cells.label))
 
 
 def _draw_stages(axes: Any, stages: Stages) -> None:

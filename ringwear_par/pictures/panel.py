@@ -138,30 +138,6 @@ class Bars:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """A table of values as colours, the darker the larger."""
-
-    #: (m,) float
-    x: FloatArray
-    #: (n,) float, middles of the cells
-    y: FloatArray
-    #: (n, m) float; NaN are gaps
-    values: FloatArray
-    #: of the values, with the unit
-    label: str
-
-    @property
-    def log(self) -> bool:
-        """Whether the colours are of logarithms, as those of values that differ much."""
-        finite = self.values[np.isfinite(self.values)]
-        return len(finite) > 0 and bool(finite.max() > 5.0 * finite.min() > 0.0)
-
-    def borders(self) -> tuple[FloatArray, FloatArray]:
-        """Return the borders of the cells along both axes, (m + 1,) and (n + 1,)."""
-        return _borders(self.x), _borders(self.y)
-
-
-@dataclass(frozen=True)
 class Stages:
     """A bar of the colours of stages in time, in the place of a legend of many."""
 
@@ -169,15 +145,6 @@ class Stages:
     high: float
     #: with the unit of time
     label: str
-
-
-def _borders(middles: FloatArray) -> FloatArray:
-    if len(middles) == 1:
-        half = 0.1 * abs(middles) or 0.5
-        return np.concatenate([middles - half, middles + half])
-    between = 0.5 * (middles[1:] + middles[:-1])
-    first, last = 1.5 * middles[:1] - 0.5 * middles[1:2], 1.5 * middles[-1:] - 0.5 * middles[-2:-1]
-    return np.concatenate([first, between, last])
 
 
 @dataclass(frozen=True)
@@ -194,7 +161,6 @@ class Panel:
     bands: Sequence[Band] = ()
     points: Sequence[Points] = ()
     bars: Sequence[Bars] = ()
-    cells: Cells | None = None
     stages: Stages | None = None
     #: values at which dotted lines go across
     levels: tuple[float, ...] = ()

@@ -40,8 +40,6 @@ _FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype":
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#c2699a", "#222222")
 #: of dark lines on colours
 CASING = [withStroke(linewidth=3.0, foreground="w")]
-#: map of the colours of cells, which the colour-blind see as others do
-CELL_COLOURS = "viridis_r"
 #: line styles that stay apart in print without colour
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 #: the dark part of a map whose lightness grows evenly; its contrast on white is 3 at least

@@ -318,7 +318,9 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
     ]  # fmt: skip
     panels, following = key_panels.design_panels(outcome), folder / folders.NEXT
     charts = [
-        page.Chart(f"design-{number}", panel, "Predicted standard deviations over the tests")
+        page.Chart(
+            f"design-{number}", panel, "Predicted standard deviations after the best designs"
+        )
         for number, panel in enumerate(panels)
     ]
     blocks.append(page.Charts(charts))

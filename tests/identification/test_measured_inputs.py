@@ -144,5 +144,5 @@ def test_inputs_that_are_refused(tables, written):
     first["data"].append(torque)
     second["input"] = [{**INPUT, "file": str(folder / "few.csv")}]
     text = "\n".join(refused(tables))
-    for words in ("fitted too", "set too", "must be > 0", "50 %", "10 at least"):
+    for words in ("is fitted, and", "is set, and", "must be > 0", "50 %", "10 at least"):
         assert words in text

@@ -119,7 +119,7 @@ def test_factors_on_rates_and_tests_alike(problem):
     (test,) = problem.experiments
     other = replace(test, series=tuple(replace(s, value=s.value + 1.0) for s in test.series))
     shifted = replace(test, series=tuple(replace(s, x=0.5 * s.x) for s in test.series))
-    three = problem.with_experiments((test, other, shifted))
+    three = replace(problem, experiments=(test, other, shifted))
     with StopSignals() as signals:
         readings = Readings(three, MPI.COMM_SELF, signals)
         assert readings.same_as == [0, 0, 2]

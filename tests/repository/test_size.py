@@ -23,7 +23,7 @@ ROOMS = {
     "results": 4997,
     "studies": 7514,
     "identification": 11749,
-    "prediction monitoring": 2699,
+    "prediction monitoring": 1972,
     "pictures reports explorer functions": 6994,
     "verify.py cli.py commands.py info.py __init__.py __main__.py version.py": 821,
     "parallel.py petsc.py arrays.py batched.py options.py": 422,

@@ -16,13 +16,8 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals.cases import check_case
-from ringwear_par.identification.definition.inputs import (
-    input_keys,
-    read_inputs,
-    refuse_known,
-    with_places,
-)
-from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
+from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
+from ringwear_par.identification.definition.parameter_rules import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -55,8 +50,6 @@ class ExperimentReader:
         self._name, self._folder, self._base, self._files = name, folder, base, files
         self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
-        #: faults that were reported: those of fitted keys are said once, not of every experiment
-        self._reported: set[str] = set()
 
     def all(
         self,
@@ -76,11 +69,9 @@ class ExperimentReader:
             if test and isinstance(table, Mapping) and table.get("name", test) != test:
                 continue
             experiment = self._experiment(place, table, parameters, faults)
-            if experiment is None:
-                continue
-            for earlier in experiments:
-                self._refuse_twin(experiment, earlier, faults)
-            experiments.append(experiment)
+            if experiment is not None:
+                experiments.append(experiment)
+        _refuse_twins(self._name, experiments, faults)
         return tuple(experiments)
 
     def _experiment(
@@ -93,10 +84,9 @@ class ExperimentReader:
         row = "" if place.startswith("experiment ") else f"{place}: "
         place = reader.place = f'{self._name}: {row}experiment "{legible(name)}"'
         changes = changes_of(reader, self._folder)
-        refuse_both(f"{place}: set", parameters, changes, faults)
         tables = reader.raw("input", [])
         measured = input_keys(tables)
-        refuse_known(place, measured, parameters, changes, faults)
+        refuse_twice(place, changes, parameters, measured, faults)
         case: Case | None = None
         inputs: tuple[MeasuredInput, ...] = ()
         if self._base is not None and len(faults) < MOST_FAULTS:  # more are not shown
@@ -104,12 +94,10 @@ class ExperimentReader:
             keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
             self._keys[name] = keys
             case = self._case(place, keys, changes, parameters, faults)
-            if case is not None and tables:
+            if tables:
                 inputs, curves = read_inputs(place, tables, case, self._files, faults)
-                case = case.replace(curves) if curves else None
+                case = case.replace(curves) if case and curves else None
                 self._keys[name] = override(keys, curves)
-            elif tables:
-                read_inputs(place, tables, None, self._files, faults)
         groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()
@@ -117,18 +105,12 @@ class ExperimentReader:
             reader.wrong("data", "must be tables, [[experiment.data]]")
             return None
         series: list[Series] = []
-        for number_, entry in enumerate(data, start=1):
+        for number, entry in enumerate(data, start=1):
             readings = read_series(
-                f"{place}: data {number_}", entry, case, self._files, faults, plans=self._plans
+                f"{place}: data {number}", entry, case, self._files, faults, plans=self._plans
             )
-            if readings is None:
-                continue
-            if any(_same_readings(readings, earlier) for earlier in series):
-                reader.fault(
-                    f"data {number_} ({readings.quantity}): {readings.file} is there twice; must "
-                    "be once"
-                )
-            series.append(readings)
+            if readings is not None:
+                series.append(readings)
         if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
             reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
         if case is None:
@@ -151,12 +133,7 @@ class ExperimentReader:
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
-            tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
-            for fault in error.faults:
-                sentence = fault.replace(place, "")
-                if sentence not in self._reported or not any(table in sentence for table in tables):
-                    faults.append(fault)
-                self._reported.add(sentence)
+            faults += error.faults
             return None
         if case.mesh.geometry == "updated":
             sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
@@ -164,20 +141,6 @@ class ExperimentReader:
             return None
         refuse_unfit(place, parameters, case, faults)
         return case
-
-    def _refuse_twin(self, experiment: Experiment, earlier: Experiment, faults: list[str]) -> None:
-        """Refuse an experiment with the name or the readings of an earlier one."""
-        place = f'{self._name}: experiment "{legible(experiment.name)}"'
-        if experiment.name == earlier.name:
-            sentence = f"{place}: is there twice; names must differ"
-            faults.append(Fault(sentence, "experiment.name", "conflict"))
-            return
-        for series in experiment.series:
-            if any(_same_readings(series, twin) for twin in earlier.series):
-                faults.append(
-                    f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                    f'"{legible(earlier.name)}"; every experiment must have its own'
-                )
 
     def changed(
         self,
@@ -188,33 +151,47 @@ class ExperimentReader:
         faults: list[str],
     ) -> tuple[Experiment, ...]:
         """Return the experiments under another law."""
-        changed = []
-        before = len(faults)
-        refuse_both(f"{self._name}: compare.{legible(name)}.set", parameters, changes, faults)
-        if len(faults) > before:
-            return ()
+        changed, before = [], len(faults)
         for experiment in experiments:
             place = (
                 f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             )
             measured = [entry.key for entry in experiment.inputs]
-            refuse_known(place, measured, parameters, changes, faults)
-            full_changes = in_full(changes, self._folder)
-            keys = override(self._keys[experiment.name], full_changes)
-            case = self._case(place, keys, changes, parameters, faults)
+            refuse_twice(place, changes, parameters, measured, faults)
+            keys = override(self._keys[experiment.name], in_full(changes, self._folder))
+            case = None
+            if len(faults) == before:
+                case = self._case(place, keys, changes, parameters, faults)
             if case is None:
                 break  # the others have the same fault
             changed.append(replace(experiment, case=case))
         return tuple(changed)
 
 
+def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
+    """Refuse experiments of one name, and the same lines of a file in two series."""
+    seen: list[tuple[str, Series]] = []
+    for number, experiment in enumerate(experiments):
+        place = f'{name}: experiment "{legible(experiment.name)}"'
+        if experiment.name in [earlier.name for earlier in experiments[:number]]:
+            sentence = f"{place}: is there twice; names must differ"
+            faults.append(Fault(sentence, "experiment.name", "conflict"))
+            continue
+        for series in experiment.series:
+            faults += [
+                f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                f'"{legible(owner)}"; must be read once'
+                for owner, earlier in seen if _same_readings(series, earlier)
+            ]  # fmt: skip
+            seen.append((experiment.name, series))
+
+
 def _same_readings(a: Series, b: Series) -> bool:
     """Tell whether two series share lines of a file, with the same readings."""
-    if a.lines is None or b.lines is None or a.file != b.file:
+    if a.lines is None or b.lines is None or (a.file, a.quantity) != (b.file, b.quantity):
         return False
     _, first, second = np.intersect1d(a.lines, b.lines, return_indices=True)
-    same = len(first) and a.quantity == b.quantity
-    return bool(same and np.array_equal(a.value[first], b.value[second]))
+    return bool(len(first)) and np.array_equal(a.value[first], b.value[second])
 
 
 def _named(series: list[Series]) -> tuple[Series, ...]:

@@ -43,8 +43,8 @@ log = logging.getLogger(__name__)
 #: keys of the search for an optimum, which files of laboratories still have
 _GONE = ("starts", "method")
 _TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
-#: beginning of the faults of a test that is a row of a table
-_ROW = re.compile(r'.*?: line \d+: experiment "(?:[^"\\]|\\.)*": ')
+#: beginning of the faults of a test
+_TEST = re.compile(r'.*?: (?:line \d+: )?experiment "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
 
@@ -74,13 +74,11 @@ def read_fit(
     files = FileStore(folder) if files is None else files
     reader = ExperimentReader(name, folder, base, files, plans)
     tests = experiment_tables(name, tables, base, files, faults)
-    before = len(faults)
     experiments = reader.all(tests, parameters, faults, test)
-    faults[before:] = _said_once(faults[before:])
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
-        raise InputError(*faults)
+        raise InputError(*_said_once(faults))
     problem = Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
     process = settings.process
     if not test:
@@ -103,7 +101,7 @@ def read_fit(
         for check in (_check_counts, check_scatter, check_process):
             check(alternatives[law], faults)
     if faults:
-        raise InputError(*faults)
+        raise InputError(*_said_once(faults))
     return replace(problem, alternatives=alternatives)
 
 
@@ -140,14 +138,14 @@ def experiment_tables(
 
 
 def _said_once(faults: Sequence[str]) -> list[str]:
-    """Return the faults; one that all rows of a table have is said of the first row only."""
-    rows: dict[str, list[str]] = {}
+    """Return the faults; one that several tests have is said of the first one only."""
+    tests: dict[str, list[str]] = {}
     for fault in faults:
-        row = _ROW.match(fault)
-        rows.setdefault(fault[row.end() :] if row else fault, []).append(fault)
+        test = _TEST.match(fault)
+        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
     return [
         Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
-        for first, *repeats in rows.values()
+        for first, *repeats in tests.values()
     ]
 
 

@@ -11,25 +11,28 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault
-from ringwear_par.files.measurements import and_more
 from ringwear_par.files.smoothing import MOST_POINTS
-from ringwear_par.identification.definition.data_sources import lines_of, read_readings
-from ringwear_par.identification.definition.problem import FittedParameter, MeasuredInput
+from ringwear_par.identification.definition.data_sources import read_readings
+from ringwear_par.identification.definition.parameter_rules import LOADS
+from ringwear_par.identification.definition.problem import MeasuredInput
 from ringwear_par.identification.definition.schema import (
     FEWEST_READINGS,
     INPUT,
     INPUT_KEYS,
     INPUT_SCALE,
 )
-from ringwear_par.identification.definition.series import check_times, is_outside, rounded_end
+from ringwear_par.identification.definition.series import (
+    check_times,
+    is_outside,
+    refuse_readings,
+    rounded_end,
+)
 from ringwear_par.schedules import in_time, points_of
-from ringwear_par.studies.definition.variations import split_key
 
 #: share of the test that an input must cover
 _COVERED = 0.95
 #: coefficients of friction, from rolling to clean metals; others are likely in another unit
 _FRICTIONS = 1e-3, 2.0
-_LOADS = ("load.force", "load.pressure", "load.displacement")
 
 
 def input_keys(tables: Any) -> list[str]:
@@ -43,36 +46,10 @@ def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, A
     """Return the keys of a case, with plain numbers in place of what was measured."""
     changed = dict(keys)
     for key in measured:
-        if key in _LOADS:
-            changed = {k: v for k, v in changed.items() if k not in _LOADS or k == key}
+        if key in LOADS:
+            changed = {k: v for k, v in changed.items() if k not in LOADS or k == key}
         changed.setdefault(key, 1.0)
     return changed
-
-
-def refuse_known(
-    place: str,
-    measured: Sequence[str],
-    parameters: Sequence[FittedParameter],
-    changes: Mapping[str, Any],
-    faults: list[str],
-) -> None:
-    """Add a fault for each input that is set or fitted too."""
-    for key in dict.fromkeys(measured):
-        same = set(_LOADS if key in _LOADS else (key,))
-        fitted = {split_key(parameter.key)[0] for parameter in parameters}
-        faults += [f"{place}: set: {_of_input(name, key)}; cannot be set too"
-                   for name in sorted(same & changes.keys())]  # fmt: skip
-        faults += [f"{place}: {_of_input(name, key)}; cannot be fitted too"
-                   for name in sorted(same & fitted)]  # fmt: skip
-    loads = [key for key in measured if key in _LOADS]
-    twice = [*loads[1:], *(key for key in ("contact.friction", "load.omega")
-                           if list(measured).count(key) > 1)]  # fmt: skip
-    faults += [f"{place}: input: {key}: is there twice; must be once" for key in twice]
-
-
-def _of_input(name: str, key: str) -> str:
-    """Return in words that a key, or another one of the same quantity, is an input."""
-    return f"{key} is an input" if name == key else f"{name}: {key} is an input"
 
 
 def read_inputs(
@@ -89,16 +66,12 @@ def read_inputs(
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
-    if case is None:
-        return (), {}
     inputs = [entry for entry in read if entry is not None]
     inputs.sort(key=lambda entry: entry.of_torque)  # its friction needs the load
     for i, entry in enumerate(inputs):
-        if len(faults) > before:
-            return (), {}
-        if entry.of_torque:
+        if case is not None and entry.of_torque:
             _check_friction(place, entry, case, faults)
-        if len(faults) > before:
+        if case is None or len(faults) > before:
             return (), {}
         entry = replace(entry, radius=0.5 * sum(case.contact))
         suspicions = entry.series.suspicions + _suspicions(entry, case)
@@ -106,7 +79,7 @@ def read_inputs(
         inputs[i] = entry
         curves[entry.key] = points_of(entry.curve(case))
         case = case.replace(curves)
-    return (tuple(inputs), curves) if len(faults) == before else ((), {})
+    return tuple(inputs), curves
 
 
 def _input(
@@ -160,15 +133,9 @@ def _input(
     if smooth == "none" and len(x) > MOST_POINTS:
         reader.wrong("smooth", f'must be "auto" or a time with more than {MOST_POINTS} readings')
     low = value <= 0.0 if is_friction else value < 0.0
-    if low.any():
-        i = int(np.flatnonzero(low)[0])
-        written = value[i] / series.factor
-        hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
-        reader.fault(
-            f"{lines_of(series)[i]}{written:g} {series.unit}"
-            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if is_friction else '>='} 0; "
-            f"{hint}"
-        )
+    hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
+    rule = f"must be {'>' if is_friction else '>='} 0; {hint}"
+    refuse_readings(reader, series, low, f"{{value:g}} {series.unit}", rule)
     if len(faults) > before:
         return None
     return MeasuredInput(key, series, smooth, scale)

@@ -1,11 +1,8 @@
 """What is to be fitted to which measurements, complete and consistent, as frozen dataclasses."""
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +12,6 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files.smoothing import Smoothing, curve
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.version import __version__
 from ringwear_par.wear.layered import LayeredLaw
 
 #: units of readings and numbers within the program; forces of a compliance are in kN
@@ -52,6 +48,11 @@ class Scatter:
     #: sizes that a dry run and a design assume for those that are to be fitted
     start: float = 0.15
 
+    @property
+    def variance(self) -> float:
+        """What a dry run and a design assume of all groups together."""
+        return sum((self.start if s is None else s) ** 2 for s in self.sizes.values())
+
 
 @dataclass(frozen=True)
 class ProcessNoise:
@@ -71,6 +72,11 @@ class ProcessNoise:
     def fitted(self) -> bool:
         """Whether its size is fitted."""
         return self.size is None and self.share is None
+
+    @property
+    def expected_share(self) -> float:
+        """What a dry run and a design assume where its size is not known."""
+        return 0.5 * self.scale if self.share is None else self.share
 
 
 def body_of_wear(key: str) -> str:
@@ -122,8 +128,6 @@ def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
 #: kind of the time constant of "thermal", which it follows; the only one that is not linear
 GROWTH_TIME = "thermal time"
-#: kind of the factor on a measured input less 1, over the mean of its calibration
-SCALE = "scale"
 
 
 def friction_power(case: Case) -> tuple[FloatArray, FloatArray]:
@@ -386,43 +390,10 @@ class Problem:
         """The fitted keys."""
         return tuple(parameter.key for parameter in self.parameters)
 
-    @cached_property
-    def key(self) -> str:
-        """A hash of the problem: its cases with users' laws, its data, and this version."""
-        cases = [experiment.case for experiment in self.experiments]
-        laws = [law for case in cases for law in (case.wear_lower, case.wear_upper)]
-        content = [
-            self.text, [case.text for case in cases], [getattr(law, "source", "") for law in laws],
-            sorted(self.hashes.items()), __version__,
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
-
-    def with_experiments(self, experiments: "tuple[Experiment, ...]") -> "Problem":
-        """Return the problem, of the same ``key``, with other cases."""
-        changed = replace(self, experiments=experiments)
-        changed.__dict__["key"] = self.key
-        return changed
-
-    @property
-    def factors(self) -> tuple[str, ...]:
-        """Schedules of cases with respect to factors on which there must be derivatives."""
-        inputs = [entry for experiment in self.experiments for entry in experiment.inputs]
-        scaled = {
-            entry.key.replace("pressure", "force") for entry in inputs if entry.scale is not None
-        }
-        if scaled & {"load.force"} and any(entry.of_torque for entry in inputs):
-            scaled.add("contact.friction")  # a torque means less friction where the load is larger
-        return tuple(sorted(scaled))
-
     @property
     def scatters(self) -> bool:
         """Whether the values of some key differ between tests."""
         return any(parameter.scatter is not None for parameter in self.parameters)
-
-    @property
-    def mixed(self) -> bool:
-        """Whether sizes of scatters or of wear's own noise are to be integrated."""
-        return self.scatters or bool(self.settings.process)
 
     @property
     def start(self) -> dict[str, float]:
@@ -436,10 +407,6 @@ class Problem:
     def values(self, unknowns: FloatArray) -> FloatArray:
         """Return the values (m,) of unknowns."""
         return np.array([p.value(u) for p, u in zip(self.parameters, unknowns, strict=True)])
-
-    def slopes(self, values: Sequence[float] | FloatArray) -> FloatArray:
-        """Return the derivatives (m,) of values with respect to their unknowns."""
-        return np.array([p.slope(v) for p, v in zip(self.parameters, values, strict=True)])
 
     @property
     def unknown_bounds(self) -> tuple[FloatArray, FloatArray]:

@@ -4,21 +4,17 @@ Values of keys differ between specimens, batches and laboratories.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student_t
 
-from ringwear_par.arrays import IntArray
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     GROUPS,
-    Experiment,
     Problem,
     ProcessNoise,
     Scatter,
@@ -95,14 +91,6 @@ def read_groups(reader: TableReader, name: str) -> tuple[str, str, str]:
     return (specimen or name, batch or "", lab or "")
 
 
-def group_numbers(experiments: Sequence[Experiment], group: str) -> IntArray:
-    """Return the numbers (tests,) of the specimens, batches or laboratories of tests."""
-    place = GROUPS.index(group)
-    names = [experiment.groups[place] for experiment in experiments]
-    order = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    return np.array([order[name] for name in names])
-
-
 def check_scatter(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of the scatters to the faults."""
     name, experiments, settings = problem.name, problem.experiments, problem.settings
@@ -130,8 +118,9 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
                     f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
                     f'of "{legible(seen[specimen])}"; must be of one {group}'
                 )
+    names = {group: [e.groups[place] for e in experiments] for place, group in enumerate(GROUPS)}
     for key, group in fitted:
-        if group_numbers(experiments, group).max() == 0:
+        if len({*names[group]}) == 1:
             plural = PLURALS[group]
             faults.append(
                 f"{name}: scatter of {key} between {plural} cannot be fitted to one "
@@ -141,28 +130,11 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
         fits = [group for group, size in scatter.sizes.items() if size is None]
         for i, small in enumerate(fits):
             for large in fits[i + 1 :]:
-                if _same_groups(experiments, small, large):
+                if len({*zip(names[small], names[large], strict=True)}) == len({*names[large]}):
                     faults.append(
                         f"{name}: scatter of {key}: {large} and {small} are the same groups; "
                         'only one of the two can be "fit"'
                     )
-
-
-def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> bool:
-    """Tell whether each of the larger groups has one of the smaller ones."""
-    pairs = zip(group_numbers(experiments, small), group_numbers(experiments, large), strict=True)
-    members = list({(int(a), int(b)) for a, b in pairs})
-    return len(members) == len({b for _, b in members})
-
-
-def expected_sizes(problem: Problem) -> dict[tuple[str, str], float]:
-    """Return the sizes of all scatters in a plan, by key and group."""
-    return {
-        (p.key, group): p.scatter.start if size is None else size
-        for p in problem.parameters
-        if p.scatter is not None
-        for group, size in p.scatter.sizes.items()
-    }
 
 
 def read_process(place: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
@@ -229,19 +201,3 @@ def check_process(problem: Problem, faults: list[str]) -> None:
                     f"own noise (fit.process); must be at most {_LONGEST_CORRELATION:g} of the "
                     f"record, {length:g} s"
                 )
-
-
-def known_sizes(problem: Problem, specimens: int) -> list[str]:
-    """Return the sentence on scatters that a plan takes as known and a fit does not; or none."""
-    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
-    fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
-    if not fitted:
-        return []
-    sentence = f"the scatter of {', '.join(fitted)} is taken as known"
-    if specimens < 2:
-        return [f"{sentence}; one specimen does not determine it"]
-    wider = student_t.ppf(0.975, specimens - 1) / norm.ppf(0.975)
-    return [
-        f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "
-        f"some {wider:.2g} times as wide (Student's t)"
-    ]

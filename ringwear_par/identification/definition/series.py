@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
@@ -222,35 +222,23 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
 
     Refuse one that is not known, or that nothing has, as that in another unit.
     """
-    body = quantity.partition(".")[2]
-    densities = (
-        (None,) if case is None else (case.lower if body == "lower" else case.upper).densities
-    )
-    case_density = densities[0] if len(set(densities)) == 1 else None
-    if reader.raw("density") is None and len(densities) > 1:
-        _check_densities(reader, body, densities)
-        return case_density
-    if "density" not in reader and case_density is None:
-        if case is not None:  # else that of the case may be there
-            reader.wrong("density", f"must be given here, or as {body}.density of the case (g/mm3)")
+    if (given := reader.read("density")) is not None:
+        if rule := _density_rule(given):
+            reader.wrong("density", rule)
+        return float(given)
+    if case is None or "density" in reader:
         return None
-    density: float | None = reader.read("density", case_density)
-    if density is not None and (rule := _density_rule(density)):
-        reader.wrong("density", rule)
-    return density
-
-
-def _check_densities(reader: TableReader, body: str, densities: Sequence[float | None]) -> None:
-    """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
+    body = quantity.partition(".")[2]
+    densities = getattr(case, body).densities
     keys = density_keys(body, len(densities) - 1)
-    missing = ", ".join(key for key, density in zip(keys, densities, strict=True) if not density)
-    if missing:
+    if missing := [key for key, value in zip(keys, densities, strict=True) if not value]:
         reader.wrong(
-            "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"
+            "density", f"must be given here, or as {', '.join(missing)} of the case (g/mm3)"
         )
     for key, density in zip(keys, densities, strict=True):
         if density and (rule := _density_rule(density)):
             reader.fault(f"{key} = {density:g}: {rule}")
+    return densities[0] if len(set(densities)) == 1 else None
 
 
 def _density_rule(density: float) -> str:
@@ -258,46 +246,43 @@ def _density_rule(density: float) -> str:
     low, high = DENSITIES
     if low <= density <= high:
         return ""
-    hint = next(
-        (
-            f"; {density:g} {unit} would be {density * share:.6g}"
-            for unit, share in _OTHER_UNITS.items()
-            if low <= density * share <= high
-        ),
-        "",
-    )
-    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
+    hints = [
+        f"; {density:g} {unit} would be {density * share:.6g}"
+        for unit, share in _OTHER_UNITS.items() if low <= density * share <= high
+    ]  # fmt: skip
+    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{''.join(hints[:1])}"
+
+
+def refuse_readings(
+    reader: TableReader, series: Series, wrong: BoolArray, words: str, rule: str
+) -> None:
+    """Refuse readings where some (n,) are wrong: the first one in words with {x} and {value}."""
+    if wrong.any():
+        i = int(wrong.argmax())
+        first = words.format(x=series.x[i], value=series.value[i] / series.factor)
+        more = and_more(int(wrong.sum()), "reading")
+        reader.fault(f"{lines_of(series)[i]}{first}{more}: {rule}")
 
 
 def check_times(reader: TableReader, series: Series, end: float) -> None:
     """Refuse times that do not increase, or outside the test."""
-    x, lines = series.x, lines_of(series)
-    if (late := np.flatnonzero(np.diff(x) <= 0)).size:
-        i = int(late[0])
-        reader.fault(
-            f"{lines[i + 1]}time {x[i + 1]:g} s after {x[i]:g} s{_more(late)}: times must increase"
-        )
-    if (outside := np.flatnonzero((x < 0) | (x > end))).size:
-        i = int(outside[0])
-        reader.fault(
-            f"{lines[i]}time {x[i]:g} s{_more(outside)}: must be within the test, from 0 "
-            f"to {end:g} s (time.end)"
-        )
+    x = series.x
+    late = np.diff(x, prepend=-np.inf) <= 0
+    refuse_readings(reader, series, late, "time {x:g} s", "times must increase")
+    rule = f"must be within the test, from 0 to {end:g} s (time.end)"
+    refuse_readings(reader, series, (x < 0) | (x > end), "time {x:g} s", rule)
 
 
 def check_profile(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse radii that are not those of the body."""
-    ring = getattr(case, series.body)
-    if (outside := np.flatnonzero((series.x < ring.r[0]) | (series.x > ring.r[1]))).size:
-        i, hint = int(outside[0]), ""
-        if ring.r[0] <= series.x[i] / 1e3 <= ring.r[1]:
-            hint = "; it is a thousand times too large: look at units.r"
-        reader.fault(
-            f"{lines_of(series)[i]}r = {series.x[i]:g} mm{_more(outside)}: must be on the "
-            f"{series.body} body, from {ring.r[0]:g} to {ring.r[1]:g} mm{hint}"
-        )
+    (low, high), x = getattr(case, series.body).r, series.x
+    outside = (x < low) | (x > high)
+    thousand = outside.any() and low <= x[outside][0] / 1e3 <= high
+    hint = "; it is a thousand times too large: look at units.r" * bool(thousand)
+    rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm{hint}"
+    refuse_readings(reader, series, outside, "r = {x:g} mm", rule)
     a, b = case.contact
-    if not ((series.x >= a) & (series.x <= b)).any():
+    if not ((x >= a) & (x <= b)).any():
         reader.fault(
             f"{series.file or 'r'}: has no reading within the contact, {a:g} to {b:g} mm; must "
             "have one at least"
@@ -307,13 +292,6 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
 def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse depths that no body has."""
     highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
-    i = int(np.argmax(np.abs(series.value)))
-    if abs(series.value[i]) > highest:
-        reader.fault(
-            f"{lines_of(series)[i]}{series.value[i]:g} mm: must be less than the height of a body, "
-            f"{highest:g} mm; look at the unit"
-        )
-
-
-def _more(wrong: IntArray) -> str:
-    return and_more(len(wrong), "reading")
+    rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
+    deep = np.abs(series.value) > highest
+    refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)

@@ -1,8 +1,7 @@
 """Tests that could be made, by ``[design]``: experiments that are measured like a given one."""
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,14 +12,13 @@ from ringwear_par.identification.definition.problem import DesignSpace, Experime
 #: keys of the load, of which one may vary; keys of when profiles are measured
 LOADS = ("load.pressure", "load.force")
 INSTANTS = ("profiles", "profile.at")
-MOST_CANDIDATES = 2000
 #: values of a range that are tried: of loads and instants of profiles (one, or several in a test),
 #: of durations and speeds
 _LOADS, _INSTANTS, _DURATIONS, _SPEEDS = (15, 6), (10, 5), 10, 3
 #: time in which a load changes, as a share of the test
 _RAMP = 1e-3
 #: fewest readings over time of a record, which continues at its rate in a longer test
-_RECORD = 10
+RECORD = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +33,6 @@ class Candidate:
     experiment: Experiment
     #: numbers of its own series
     series: tuple[int, ...]
-    #: whether candidates differ in when profiles are measured
-    instants_vary: bool
 
     @property
     def seconds(self) -> float:
@@ -49,87 +45,72 @@ class Candidate:
         loads = next((self.keys[key] for key in LOADS if key in self.keys), ())
         return loads if isinstance(loads, tuple) else (loads,)
 
-    @property
-    def kind(self) -> tuple[float, ...]:
-        """What differs first: loads, or speed, duration and instants where they do not vary."""
-        return self.loads or (self.keys.get("load.omega", 0.0), self.seconds, *self.profiles)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of design.json."""
         entry = {k: list(v) if isinstance(v, tuple) else v for k, v in self.keys.items()}
         at = {"profiles": len(self.profiles), "profile.at": list(self.profiles)}
         return entry | at if self.profiles else entry
 
-    def changes(self) -> dict[str, Any]:
-        """Return the case keys as a case file has them."""
-        return _changes(self.keys, self.seconds)
-
-
-def count_of(space: DesignSpace) -> int:
-    """Return how many tests a space has."""
-    return math.prod(map(len, _axes(space)))
-
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values.
 
     Records go on at their rate, with their median noise; all else is read at its part of the test.
-    Of profiles of one body at several times the last one serves.
+    Of several profiles of one body the last one in the file serves.
     """
-    speeds, loads, durations, instants = _axes(space)
-    faces, usual = last_profiles(template.series), template.case.time.end
+    speeds, loads, durations, instants = axes(space)
+    faces = [*{s.quantity: s for s in template.series if s.profile}.values()]
+    usual = template.case.time.end
     parts = sorted({part for some in instants for part in some})
     tests: list[Candidate] = []
     for speed, load, duration in itertools.product(speeds, loads, durations):
         keys, end = speed | load | duration, duration.get("time.end", usual)
         if end > space.time_limit:
             continue
-        case = template.case.replace(_changes(keys, end))
         series = [_scaled(s, end / usual) for s in template.series if not s.profile]
-        shared = range(len(series))
+        shared = len(series)
         for part in parts if faces else ():
             name = f"at {end * part:.6g} s"
             series += [replace(f, name=f"{f.quantity} {name}", at=end * part) for f in faces]
+        case = template.case.replace(case_keys(keys, end))
         test = Experiment(f"candidate {len(tests) + 1}", case, tuple(series))
         for some in instants if faces else [()]:
-            first = [len(shared) + len(faces) * parts.index(part) for part in some]
-            own = (*shared, *(i + j for i in first for j in range(len(faces))))
-            at = tuple(end * part for part in some)
-            tests.append(Candidate(keys, at, test, own, len(instants) > 1))
+            first = [shared + len(faces) * parts.index(part) for part in some]
+            own = (*range(shared), *(i + j for i in first for j in range(len(faces))))
+            tests.append(Candidate(keys, tuple(end * part for part in some), test, own))
     return tests
 
 
-def _axes(space: DesignSpace) -> tuple[list[Any], ...]:
+def axes(space: DesignSpace) -> tuple[list[Any], ...]:
     """Return keys of speed, load and duration, and instants of profiles as parts of the test."""
+    ranges = space.ranges
 
-    def levels(key: str, count: int) -> list[Any]:
-        low, high = space.ranges[key]
-        return [low] if low == high else np.linspace(low, high, count).tolist()
+    def levels(key: str, count: int) -> list[float]:
+        return np.unique(np.linspace(*ranges[key], count)).tolist()
 
-    def one(key: str, count: int) -> list[Any]:
-        return [{key: v} for v in levels(key, count)] if key in space.ranges else [{}]
+    def one(key: str, count: int) -> list[dict[str, float]]:
+        return [{key: value} for value in levels(key, count)] if key in ranges else [{}]
 
-    def several(key: str, counts: range, most: tuple[int, int]) -> list[tuple[float, ...]]:
-        """Return growing values, as many in each as counts have."""
-        chosen = (itertools.combinations(levels(key, most[n > 1]), n) for n in counts)
-        return list(itertools.chain(*chosen))
+    def growing(key: str, counts: range, most: tuple[int, int]) -> list[tuple[float, ...]]:
+        """Return increasing values, as many in each as counts have."""
+        return [v for n in counts for v in itertools.combinations(levels(key, most[n > 1]), n)]
 
     steps, counts = (
         range(int(low), int(high) + 1)
-        for low, high in (space.ranges.get(key, (1, 1)) for key in ("load.steps", "profiles"))
+        for low, high in (ranges.get(key, (1, 1)) for key in ("load.steps", "profiles"))
     )
     loads: list[Any] = [{}]
-    for key in {*LOADS} & {*space.ranges}:
-        loads = [{key: v if v[1:] else v[0]} for v in several(key, steps, _LOADS)]
-    if "profile.at" in space.ranges:
-        instants = several("profile.at", counts, _INSTANTS)
+    for key in {*LOADS} & {*ranges}:
+        loads = [{key: v if v[1:] else v[0]} for v in growing(key, steps, _LOADS)]
+    if "profile.at" in ranges:
+        instants = growing("profile.at", counts, _INSTANTS)
     else:  # at equal intervals, the last one at the end
         instants = [tuple((i + 1) / n for i in range(n)) for n in counts]
     return one("load.omega", _SPEEDS), loads, one("time.end", _DURATIONS), instants
 
 
-def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
-    """Return case keys, several loads as a schedule of equal parts."""
+def case_keys(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
+    """Return the keys of a test as a case has them, several loads as a schedule of equal parts."""
     changes = dict(keys)
     for key in LOADS:
         if isinstance(loads := keys.get(key), tuple):
@@ -141,15 +122,9 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
     return changes
 
 
-def last_profiles(every: Sequence[Series]) -> list[Series]:
-    """Return of all profiles of one body the last one."""
-    profiles = sorted((s for s in reversed(every) if s.profile), key=lambda s: s.at or 0.0)
-    return [*{s.quantity: s for s in profiles}.values()]
-
-
 def _scaled(series: Series, longer: float) -> Series:
     """Return the readings over time of a longer test."""
-    if series.n < _RECORD:
+    if series.n < RECORD:
         return replace(series, x=series.x * longer)
     count = max(round(series.n * longer), 2)
     x = longer * np.linspace(series.x[0], series.x[-1], count)

@@ -5,6 +5,7 @@ candidate, at a few draws of what is known, tell what every combination of them 
 """
 
 import itertools
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,17 +17,16 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import DESIGN, MAP, NEXT, check_folder
+from ringwear_par.files.folders import BARS, DESIGN, NEXT, check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Criterion, Problem
 from ringwear_par.identification.design.candidates import (
     INSTANTS,
     LOADS,
-    MOST_CANDIDATES,
     Candidate,
+    axes,
     candidates,
-    count_of,
 )
 from ringwear_par.identification.design.information import Before, before_tests, informations
 from ringwear_par.identification.histories import Readings
@@ -37,6 +37,7 @@ from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
 _FOLDER = "ringwear_par.identification.design.design_folder"
+_MOST_CANDIDATES = 2000
 #: designs that are listed; combinations whose scores are computed together
 _LISTED, _AT_ONCE = 10, 50_000
 #: share of the sd that bounds alone leave, below which a key of which nothing else was known is
@@ -91,24 +92,50 @@ class DesignResult(Outcome):
     @property
     def today(self) -> Design:
         """What is known without further tests."""
-        return self.design(np.zeros_like(self.planned_information))
+        return self._design(np.zeros_like(self.planned_information))
 
     @property
     def planned(self) -> Design:
         """What is known after the tests of the fit file."""
-        return self.design(self.planned_information)
+        return self._design(self.planned_information)
 
     @property
     def single(self) -> FloatArray:
         """(c, m) predicted standard deviations after each candidate alone."""
         return self.sds(self.information)
 
-    def scores(self, tests: IntArray) -> FloatArray:
-        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time.
+    def sds(self, information: FloatArray) -> FloatArray:
+        """Return predicted standard deviations (..., m) of values by information (..., d, m, m)."""
+        sd, before = self._sd(information), self.before
+        most = _IDENTIFIED * np.sqrt(np.diag(before.covariance))
+        return np.where(before.unknown & (sd > most), np.inf, sd * before.slopes)
 
-        Larger is better. Of "D" the logarithm of how much smaller the ellipsoid becomes, of "A"
-        minus the mean variance, over the widths of bounds; means over the draws.
-        """
+    def _sd(self, information: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of unknowns, of their mean variance over draws."""
+        covariance = np.linalg.inv(np.linalg.inv(self.before.covariance) + information)
+        sd: FloatArray = np.sqrt(np.diagonal(covariance.mean(axis=-3), axis1=-2, axis2=-1))
+        return sd
+
+    def _gain(self, information: FloatArray) -> FloatArray:
+        """Return the logarithms (...) of how much smaller the ellipsoid becomes, means of draws."""
+        precision = np.linalg.inv(self.before.covariance)
+        gain = np.linalg.slogdet(precision + information)[1] - np.linalg.slogdet(precision)[1]
+        return 0.5 * gain.mean(axis=-1)
+
+    def _score(self, information: FloatArray) -> FloatArray:
+        """Return the gain by "D", minus the mean variance over the widths of bounds by "A"."""
+        if self.problem.design.criterion == "D":
+            return self._gain(information)
+        low, high = self.problem.unknown_bounds
+        return -np.square(self._sd(information) / (high - low)).mean(axis=-1)
+
+    def _design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
+        """Return the design of tests that have information (d, m, m) together."""
+        score, gain = float(self._score(information)), float(self._gain(information))
+        return Design((*tests,), score, gain / np.log(2.0), self.sds(information))
+
+    def _scores(self, tests: IntArray) -> FloatArray:
+        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time."""
         seconds = np.array([test.seconds for test in self.candidates])
         scores = np.full(len(tests), -np.inf)
         within = np.flatnonzero(seconds[tests].sum(axis=1) <= self.problem.design.time_limit)
@@ -116,67 +143,39 @@ class DesignResult(Outcome):
             scores[rows] = self._score(sum(self.information[column] for column in tests[rows].T))
         return scores
 
-    def _gain(self, information: FloatArray) -> FloatArray:
-        precision = np.linalg.inv(self.before.covariance)
-        gain = np.linalg.slogdet(precision + information)[1] - np.linalg.slogdet(precision)[1]
-        return 0.5 * gain.mean(axis=-1)
-
-    def _score(self, information: FloatArray) -> FloatArray:
-        if self.problem.design.criterion == "D":
-            return self._gain(information)
-        low, high = self.problem.unknown_bounds
-        return -np.square(self._sd(information) / (high - low)).mean(axis=-1)
-
-    def _sd(self, information: FloatArray) -> FloatArray:
-        """Return standard deviations (..., m) of unknowns by information (..., d, m, m)."""
-        covariance = np.linalg.inv(np.linalg.inv(self.before.covariance) + information)
-        sd: FloatArray = np.sqrt(np.diagonal(covariance.mean(axis=-3), axis1=-2, axis2=-1))
-        return sd
-
-    def design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
-        """Return the design of tests that have information (d, m, m) together."""
-        score, gain = float(self._score(information)), float(self._gain(information))
-        return Design((*tests,), score, gain / np.log(2.0), self.sds(information))
-
-    def sds(self, information: FloatArray) -> FloatArray:
-        """Return predicted standard deviations (..., m) of values by information (..., d, m, m)."""
-        sd = self._sd(information)
-        most = _IDENTIFIED * np.sqrt(np.diag(self.before.covariance))
-        lost = self.before.unknown & (sd > most)
-        return np.where(lost, np.inf, sd * self.problem.slopes(self.before.values))
-
     @cached_property
     def designs(self) -> tuple[Design, ...]:
         """The best designs that differ in more than durations and instants, the best first.
 
-        All of one or two tests are looked at. Of more, tests are added to the best pair that leaves
-        time for them, then each is exchanged, until none is better.
+        All of one or two tests are looked at. Of more, the best pair that leaves time for the
+        shortest tests beside it; then each is exchanged for the best one, twice.
         """
         count, every = self.problem.design.experiments, np.arange(len(self.candidates))
         tests = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
         if count > 2:
             shortest = min(every, key=lambda i: self.candidates[i].seconds)
             filled = np.column_stack([tests, np.full((len(tests), count - 2), shortest)])
-            chosen = filled[self.scores(filled).argmax()]
-            looked, before, score = [chosen[None]], -np.inf, -1e300
-            while score > before:
-                before = score
-                for place in [*range(2, count), 0, 1]:
-                    looked.append(np.tile(chosen, (len(every), 1)))
-                    looked[-1][:, place] = every
-                    scores = self.scores(looked[-1])
-                    chosen, score = looked[-1][scores.argmax()], float(scores.max())
-            tests = np.unique(np.sort(np.concatenate(looked), axis=1), axis=0)
-        scores = self.scores(tests)
-        designs: dict[Hashable, Design] = {}
+            best, looked = filled[self._scores(filled).argmax()], []
+            for place in 2 * [*range(2, count), 0, 1]:
+                looked.append(np.tile(best, (len(every), 1)))
+                looked[-1][:, place] = every
+                best = looked[-1][self._scores(looked[-1]).argmax()]
+            tests = np.concatenate(looked)
+        scores, kinds = self._scores(tests), dict[Hashable, IntArray]()
         for row in np.argsort(-scores, kind="stable").tolist():
-            if len(designs) == _LISTED or scores[row] == -np.inf:
+            if len(kinds) == _LISTED or scores[row] == -np.inf:
                 break
-            chosen = tests[row]
-            kinds = tuple(sorted(self.candidates[i].kind for i in chosen))
-            if kinds not in designs:
-                designs[kinds] = self.design(self.information[chosen].sum(axis=0), chosen.tolist())
-        return (*designs.values(),)
+            kind = tuple(sorted(self._kind(self.candidates[i]) for i in tests[row]))
+            kinds.setdefault(kind, tests[row])
+        return tuple(
+            self._design(self.information[some].sum(axis=0), some.tolist())
+            for some in kinds.values()
+        )
+
+    @staticmethod
+    def _kind(test: Candidate) -> tuple[float, ...]:
+        """Return what differs first: loads, or speed, duration and instants without them."""
+        return test.loads or (test.keys.get("load.omega", 0.0), test.seconds, *test.profiles)
 
 
 def design(
@@ -219,7 +218,7 @@ def design(
         if criterion is not None:
             problem = replace(problem, design=replace(problem.design, criterion=criterion))
         _check(problem)
-        problem, before = before_tests(problem, None if after is None else Path(after))
+        before = before_tests(problem, None if after is None else Path(after))
         return problem, before, candidates(problem.design, problem.experiments[0])
 
     problem, before, tests = on_first_rank(comm, read)
@@ -278,9 +277,9 @@ def _check(problem: Problem) -> None:
             f"{name}.budget: time.end = {space.seconds:g}: must be at least {shortest:g}, "
             f"{space.experiments} of the shortest tests"
         )
-    if (count := count_of(space)) > MOST_CANDIDATES:
+    if (count := math.prod(map(len, axes(space)))) > _MOST_CANDIDATES:
         raise InputError(
-            f"{name}.vary: makes {count} tests; must be at most {MOST_CANDIDATES}: fewer keys, or "
+            f"{name}.vary: makes {count} tests; must be at most {_MOST_CANDIDATES}: fewer keys, or "
             "narrower load.steps or profiles"
         )
 
@@ -294,7 +293,7 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    files = (DESIGN, NEXT, MAP)
+    files = (DESIGN, NEXT, BARS)
     on_first_rank(comm, lambda: check_folder(folder, files, "fit"))
     result = design(source, comm, after=after, criterion=criterion)
 

@@ -1,4 +1,4 @@
-"""What is written and said of a design: its numbers, their map, its best tests as tables."""
+"""What is written and said of a design: its numbers, bars of its best tests, these as tables."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,23 +7,27 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import flatten
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor, has_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
-from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, write_outcome
+from ringwear_par.files.folders import BARS, DESIGN, NEXT, json_bytes, write_outcome
 from ringwear_par.files.text import toml_value
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
-from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.definition.scatter import known_sizes
-from ringwear_par.identification.design.candidates import LOADS, Candidate, last_profiles
+from ringwear_par.identification.definition.problem import DesignSpace, Series
+from ringwear_par.identification.design.candidates import (
+    INSTANTS,
+    LOADS,
+    RECORD,
+    Candidate,
+    case_keys,
+)
 from ringwear_par.identification.design.design import Design, DesignResult
 from ringwear_par.pictures.key_panels import design_panels
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.style import picture
-from ringwear_par.results.key_numbers import time_unit, time_words
+from ringwear_par.results.key_numbers import time_words
 
 _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
              "A": "smallest mean variance over the widths of the bounds (A)"}  # fmt: skip
@@ -31,28 +35,24 @@ _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
 _WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
 #: number of designs that a summary shows; factor on an sd that is nearly the same
 _LISTED, _NEARLY = 5, 1.1
-#: share of a step within which distances are equal
-_EQUAL = 1e-6
 
 
 def save(found: DesignResult, folder: Path) -> None:
     """Write all three files, see ``write_outcome``."""
     contents = {
-        MAP: lambda: picture(found.plot, str(folder / MAP)),
+        BARS: lambda: picture(found.plot, str(folder / BARS)),
         NEXT: lambda: next_tests(found).encode(),
         DESIGN: lambda: json_bytes(found.to_dict()),
     }
     write_outcome(folder, "fit", contents)
 
 
-def sd_scales(found: DesignResult) -> dict[str, dict[str, Any]]:
-    """Return unit and factor by which people read the sd of each key: % of logarithms."""
-    return {
-        p.key: {"factor": 100.0 / value, "unit": "%"} if p.log
-        else {"factor": 1.0 / unit_scale(p),
-              "unit": p.unit or unit_of_key(found.problem, p.key).strip()}
-        for p, value in zip(found.problem.parameters, found.before.values.tolist(), strict=True)
-    }  # fmt: skip
+def plot(found: DesignResult) -> Figure:
+    """Return bars of the predicted standard deviations of the best designs."""
+    outcome = to_dict(found)
+    panels = design_panels(outcome)
+    lines = sum(len(entry["experiments"]) for entry in outcome["designs"])
+    return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
 
 
 def to_dict(found: DesignResult) -> dict[str, Any]:
@@ -74,13 +74,11 @@ def to_dict(found: DesignResult) -> dict[str, Any]:
         "criterion": problem.design.criterion,
         "parameters": dict(zip(keys, found.before.values.tolist(), strict=True)),
         "after": found.after or None,
-        "draws": len(found.before.draws),
         "candidates": len(found.candidates),
         "failed": [test.to_dict() for test in found.failed],
         "reason": found.reason or None,
         "histories": found.histories,
         "measured_as": problem.experiments[0].name,
-        "map": _map(found),
         "sd_scales": sd_scales(found),
         "designs": designs,
         "today": predicted(found.today),
@@ -89,54 +87,27 @@ def to_dict(found: DesignResult) -> dict[str, Any]:
     }
 
 
-def plot(found: DesignResult) -> Figure:
-    """Return the map of predicted standard deviations, or bars of those of the best designs."""
-    outcome = to_dict(found)
-    panels = design_panels(outcome)
-    lines = sum(len(entry["experiments"]) for entry in outcome["designs"])
-    return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
-
-
-def _map(found: DesignResult) -> dict[str, Any] | None:
-    """Return predicted standard deviations over the load and duration of the last test.
-
-    The others are those of the best design; of several instants the best ones. None where one of
-    the two does not vary.
-    """
-    tests, best, keys = found.candidates, found.designs[0].tests, found.problem.keys
-    plain = [i for i, t in enumerate(tests) if len(t.loads) == 1 and "load.omega" not in t.keys]
-    loads = sorted({tests[i].loads[0] for i in plain})
-    seconds = sorted({tests[i].seconds for i in plain})
-    if len(loads) < 2 or len(seconds) < 2 or best[-1] not in plain:
-        return None
-    rows = np.array([[*best[:-1], i] for i in plain])
-    scores, (unit, length) = found.scores(rows), time_unit(seconds[-1])
-    sd: dict[str, list[list[Any]]] = {key: [[None] * len(loads) for _ in seconds] for key in keys}
-    for row in np.argsort(scores, kind="stable").tolist():  # the best one of a cell stays
-        test, sds = tests[plain[row]], found.sds(found.information[rows[row]].sum(axis=0)).tolist()
-        for key, value in zip(keys, sds, strict=True):
-            told = value if np.isfinite([value, scores[row]]).all() else None
-            sd[key][seconds.index(test.seconds)][loads.index(test.loads[0])] = told
-    load = "mean pressure (MPa)" if "load.pressure" in tests[best[-1]].keys else "force (N)"
+def sd_scales(found: DesignResult) -> dict[str, dict[str, Any]]:
+    """Return unit and factor by which people read the sd of each key: % of logarithms."""
     return {
-        "x": {"label": load + " of the last test" * (len(best) > 1), "values": loads},
-        "y": {"label": f"duration ({unit})", "values": [second / length for second in seconds]},
-        "sd": sd,
-        "best": {"x": [*tests[best[-1]].loads], "y": [tests[best[-1]].seconds / length]},
-    }
+        p.key: {"factor": 100.0 / value, "unit": "%"} if p.log
+        else {"factor": 1.0 / unit_scale(p),
+              "unit": p.unit or unit_of_key(found.problem, p.key).strip()}
+        for p, value in zip(found.problem.parameters, found.before.values.tolist(), strict=True)
+    }  # fmt: skip
 
 
 def summary(found: DesignResult) -> str:
     """Return the outcome in a few lines."""
-    problem, count, draws = found.problem, len(found.designs[0].tests), len(found.before.draws)
+    problem, count, before = found.problem, len(found.designs[0].tests), found.before
     about = ", ".join(
-        f"{p.key} = {v:.4g}{unit_of_key(problem, p.key)}"
-        + f" ({v / unit_scale(p):.4g} {p.unit})" * bool(p.unit)
-        for p, v in zip(problem.parameters, found.before.values.tolist(), strict=True)
-    )
+        f"{p.key} = {v / unit_scale(p):.4g} {p.unit}" if p.unit
+        else f"{p.key} = {v:.4g}{unit_of_key(problem, p.key)}"
+        for p, v in zip(problem.parameters, before.values.tolist(), strict=True)
+    )  # fmt: skip
     around = (
-        f"means over {draws} draws" if draws > 1
-        else "without priors or an earlier fit (--after) it holds there only"
+        "without priors or an earlier fit (--after) it holds there only" if before.unknown.all()
+        else f"means over {len(before.draws)} draws"
     )  # fmt: skip
     lines = [
         f"{problem.name}: {count} of {len(found.candidates)} tests, "
@@ -147,9 +118,8 @@ def summary(found: DesignResult) -> str:
     if scattering := [p.key for p in problem.parameters if p.scatter is not None]:
         lines.append(
             f"each test is of a new specimen, and {', '.join(scattering)} differs between "
-            "specimens; numbers below are of the material"
+            "specimens, by as much as is taken as known; numbers below are of the material"
         )
-    lines += known_sizes(problem, count) * (not found.after)  # or earlier specimens tell it too
     seconds = sum(experiment.case.time.end for experiment in problem.experiments)
     rows = [("today", found.today)]
     rows += [(name_of_tests(found, design), design) for design in found.designs[:_LISTED]]
@@ -161,7 +131,7 @@ def summary(found: DesignResult) -> str:
         lines.append(f"  {name.ljust(width)}  {spreads(found, design)}{gain}")
     lines += _only_specimens(found)
     if found.failed:
-        name = name_of(found.failed[0], problem.design.units)
+        name = name_of(found.failed[0], problem.design)
         lines.append(
             f"{len(found.failed)} tests cannot be computed and are left out: {name}: {found.reason}"
         )
@@ -170,51 +140,23 @@ def summary(found: DesignResult) -> str:
 
 def _only_specimens(found: DesignResult) -> list[str]:
     """Return sentences on keys whose scatter alone limits what tests tell, whichever they are."""
-    best, precision = found.designs[0], np.linalg.inv(found.before.covariance)
-    usual = np.median(found.sds(len(best.tests) * found.information), axis=0)
-    slopes, lines = found.problem.slopes(found.before.values), []
+    best, before, lines = found.designs[0], found.before, []
+    count, precision = len(best.tests), np.diag(np.linalg.inv(before.covariance))
+    usual = np.median(found.sds(count * found.information), axis=0)
     for j, (key, scale) in enumerate(sd_scales(found).items()):
-        if not (variance := found.before.scatter[j]):
+        if not (variance := before.scatter[j]):
             continue
-        least = slopes[j] / np.sqrt(precision[j, j] + len(best.tests) / variance)
+        least = before.slopes[j] / np.sqrt(precision[j] + count / variance)
         if best.sd[j] < _NEARLY * least and usual[j] < _NEARLY * best.sd[j]:
             between, left = (
                 f"{scale['factor'] * sd:.2g} {scale['unit']}"
-                for sd in (slopes[j] * np.sqrt(variance), least)
+                for sd in (before.slopes[j] * np.sqrt(variance), least)
             )
             lines.append(
-                f"{key}: specimens differ by {between}, so that {len(best.tests)} more leave an sd "
-                f"of {left} at least, and most candidates come near it: only their number matters"
+                f"{key}: specimens differ by {between}, so that {count} more leave an sd of {left} "
+                "at least, and most candidates come near it: only their number matters"
             )
     return lines
-
-
-def name_of_tests(found: DesignResult, design: Design) -> str:
-    """Return the tests of a design in a few words."""
-    units = found.problem.design.units
-    return " + ".join(name_of(found.candidates[i], units) for i in design.tests)
-
-
-def name_of(test: Candidate, units: Mapping[str, str]) -> str:
-    """Return a test in a few words, its keys in some units where not in the case's."""
-    words = []
-    for key in (*LOADS, "load.omega"):
-        if key in test.keys:
-            values = test.loads if key in LOADS else (test.keys[key],)
-            words.append(" then ".join(_in_unit(key, value, units) for value in values))
-    if "time.end" in units:
-        words.append(_in_unit("time.end", test.seconds, units))
-    else:
-        words.append(time_words(test.seconds, test.seconds))
-    if test.instants_vary:
-        at = ", ".join(time_words(at, test.seconds) for at in test.profiles)
-        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at}")
-    return ", ".join(words)
-
-
-def _in_unit(key: str, value: float, units: Mapping[str, str], digits: int = 4) -> str:
-    unit = units.get(key, BY_PATH[key].unit)
-    return f"{value / factor(unit, BY_PATH[key].unit):.{digits}g} {unit}"
 
 
 def spreads(found: DesignResult, design: Design) -> str:
@@ -226,15 +168,38 @@ def spreads(found: DesignResult, design: Design) -> str:
     )  # fmt: skip
 
 
+def name_of_tests(found: DesignResult, design: Design) -> str:
+    """Return the tests of a design in a few words."""
+    return " + ".join(name_of(found.candidates[i], found.problem.design) for i in design.tests)
+
+
+def name_of(test: Candidate, space: DesignSpace) -> str:
+    """Return a test in a few words, in the units in which ranges are written."""
+    words, at = [], [time_words(time, test.seconds) for time in test.profiles]
+    for key in (*LOADS, "load.omega"):
+        if key in test.keys:
+            values = test.loads if key in LOADS else (test.keys[key],)
+            words.append(" then ".join(_in_unit(key, value, space) for value in values))
+    given = "time.end" in space.units
+    duration = _in_unit("time.end", test.seconds, space) if given else ""
+    words.append(duration or time_words(test.seconds, test.seconds))
+    if not space.ranges.keys().isdisjoint(INSTANTS):
+        words.append(f"profile{'s' if at[1:] else ''} at {', '.join(at)}")
+    return ", ".join(words)
+
+
+def _in_unit(key: str, value: float, space: DesignSpace, digits: int = 4) -> str:
+    unit = space.units.get(key, BY_PATH[key].unit)
+    return f"{value / factor(unit, BY_PATH[key].unit):.{digits}g} {unit}"
+
+
 def next_tests(found: DesignResult) -> str:
     """Return the best design as tables that may follow those of its fit file."""
-    problem, best = found.problem, found.designs[0]
+    problem, best, space = found.problem, found.designs[0], found.problem.design
     template, measured = problem.experiments[0].series, problem.experiments[0].table
-    last = last_profiles(template)
     tables = {
         s.quantity if s.profile else s.name: table
         for s, table in zip(template, measured["data"], strict=True)
-        if not s.profile or s in last
     }
     lines = [
         f"# The best of {len(found.candidates)} candidates: {spreads(found, best)}.",
@@ -243,21 +208,18 @@ def next_tests(found: DesignResult) -> str:
         "# ringwear fit --dry-run prints the intervals to expect. After a test, put its readings",
         "# in place of times, r and unit (file, columns, units); a weight beside its unit (value).",
     ]
-    number, taken = 1, {experiment.name for experiment in problem.experiments}
-    for test in (found.candidates[i] for i in best.tests):
-        while (name := f"next {number}") in taken:
-            number += 1
-        taken.add(name)
-        units = problem.design.units
+    # numbered among all tests of the fit file, so that names differ
+    for number, i in enumerate(best.tests, start=1 + len(problem.experiments)):
+        test = found.candidates[i]
         changes = {
-            key: _in_unit(key, value, units, 9) if key in units and is_number(value) else value
-            for key, value in test.changes().items()
-        }
+            key: _in_unit(key, value, space, 9) if key in space.units and is_number(value)
+            else value
+            for key, value in case_keys(test.keys, test.seconds).items()
+        }  # fmt: skip
         loads = {*LOADS, "load.displacement"} if test.loads else set()
         settings = flatten(measured.get("set", {}), "set")
         changes = {k: v for k, v in settings.items() if k not in loads} | changes
-        lines += ["", "[[experiment]]", f"name = {toml_value(name)}"]
-        lines.append(f"set = {toml_value(changes)}")
+        lines += ["", "[[experiment]]", f'name = "next {number}"', f"set = {toml_value(changes)}"]
         for series in (test.experiment.series[i] for i in test.series):
             table = tables[series.quantity if series.profile else series.name]
             planned = [f"{k} = {toml_value(v)}" for k, v in _planned(series, table).items()]
@@ -268,23 +230,17 @@ def next_tests(found: DesignResult) -> str:
 def _planned(series: Series, table: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of planned readings, measured like those of a table."""
     keys: dict[str, Any] = {"quantity": series.quantity}
+    places = [float(f"{x:.9g}") for x in np.unique(series.x).tolist()]
     if series.profile:
-        keys |= {"at": series.at, "r": table.get("r") or _places(series.x)}
+        keys |= {"at": series.at, "r": table.get("r", places)}
         keys |= {key: table[key] for key in ("exclude",) if key in table and "r" in table}
     elif series.n == 1:
-        keys["at"] = float(series.x[0])
-    else:
-        keys["times"] = _places(series.x)
+        keys["at"] = places[0]
+    elif series.n < RECORD:
+        keys["times"] = places
+    else:  # at equal steps
+        keys["times"] = {"from": places[0], "to": places[-1], "count": series.n}
     keys |= {"unit": series.unit, "sd": table.get("sd")}
     if not (is_number(keys["sd"]) or has_unit(keys["sd"])):
         keys["sd"] = float(f"{np.median(series.sd) / series.factor:.6g}")
     return keys | {k: table[k] for k in ("density", "correlation_time", "nuisance") if k in table}
-
-
-def _places(readings: FloatArray) -> Any:
-    """Return where readings are: from, to and count of equal steps, if it is so, or a list."""
-    x = np.unique(readings)
-    equal = np.linspace(x[0], x[-1], len(x))
-    if len(x) > 2 and np.abs(equal - x).max() < _EQUAL * (equal[1] - equal[0]):
-        return {"from": float(f"{x[0]:.9g}"), "to": float(f"{x[-1]:.9g}"), "count": len(x)}
-    return [float(f"{value:.9g}") for value in x]

@@ -160,4 +160,4 @@ def test_a_law_that_set_brings_in_may_be_fitted(key, brought, table, good):
         assert experiment.case.replace({key: 5e-8}).text != experiment.case.text
     given["experiment"][0]["set"] |= table
     (fault,) = refused(given)
-    assert f"set: {key}: is set, and {key} is fitted" in fault
+    assert f"{key}: is set, and {key} is fitted" in fault

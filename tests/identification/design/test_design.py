@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from drawn import draws_of
 from laboratory import END, TRUTH, fit_tables, one_test, write_tests
-from parts import toml_text, write_draws
+from parts import StopSignals, toml_text, write_draws
 
 import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.design.candidates import candidates
 from ringwear_par.identification.design.design import run_design
-from ringwear_par.identification.design.design_folder import next_tests
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.readings import growth, nuisance_columns
-from ringwear_par.results.execution.stop_signals import StopSignals
 
 K, P0 = TRUTH
 VARY = {"load.pressure": [40.0, 96.0]}
@@ -145,27 +143,18 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
 
 
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
-    """Its draws are what is known today; the noise that it found is that of the next tests."""
+    """Its draws are what is known today."""
     source = tables(experiments=1)
-    for experiment in source["experiment"]:
-        experiment["data"][0]["sd"] = "fit"
-    problem = read_fit(source)
-    draws = draws_of(problem.experiments[0].case, p0=np.linspace(20.0, 30.0, 200))
+    case = read_fit(source).experiments[0].case
+    draws = draws_of(case, p0=np.linspace(20.0, 30.0, 200))
     write_draws(tmp_path / "draws.nc", draws, {}, {}, {})
-    noise = {"penetration": {"sd": 0.5, "unit": "um"}}
-    (tmp_path / "fit.json").write_text(json.dumps({"experiments": {"test 9": noise}}))
     found = rw.design(source, comm, after=tmp_path)
     spread = np.std(draws.material, axis=0, ddof=1)
     assert found.today.sd == pytest.approx(spread * [found.before.values[0], 1.0])
     assert len(found.before.draws) == 6
-    assert found.problem.experiments[0].series[0].sd == pytest.approx(5e-4)
     assert (found.designs[0].sd < found.today.sd).all()
-    other = tables()
-    other["fit"]["parameters"].pop(P0)
+    source["fit"]["parameters"].pop(P0)
     with pytest.raises(rw.InputError, match=rf"keys = .*must be those of .*{K}"):
-        rw.design(other, comm, after=tmp_path)
-    (tmp_path / "fit.json").write_text("{}")
-    with pytest.raises(rw.InputError, match=r"--after .*fit\.json: is no outcome of ringwear fit"):
         rw.design(source, comm, after=tmp_path)
 
 
@@ -193,28 +182,9 @@ def test_candidates_keep_to_their_ranges(tables):
         assert 20.0 <= test.seconds <= 90.0
         series = [test.experiment.series[i] for i in test.series]
         assert tuple(one.at for one in series if one.profile) == test.profiles
-        assert min(test.profiles) >= 0.2 * test.seconds * (1.0 - 1e-12)
-        assert series[0].x[-1] == pytest.approx(test.seconds)
         assert series[0].n == pytest.approx(50 * test.seconds / END, abs=1)
-    assert {len(test.loads) for test in every} == {1, 2}
     # instants of profiles share their histories
     assert len({test.experiment for test in every}) == len(every) / (10 + 10)
-
-
-@pytest.mark.parametrize(
-    ("vary", "budget", "said"),
-    [
-        ({**VARY, "time.end": [60.0, 100.0]}, {"time.end": 100.0, "experiments": 2}, "120"),
-        (VARY, {"experiments": 2, "time.end": 100.0}, "200"),
-        ({**VARY, "profile.at": [0.5, 50.0]}, {}, "parts of the test"),
-        ({**VARY, "load.steps": [1, 4], "profiles": [1, 4], "time.end": [10.0, 100.0],
-          "load.omega": [1.0, 2.0]}, {}, "7800 tests"),
-        ({}, {}, "must name what may differ"),
-    ],
-)  # fmt: skip
-def test_spaces_that_are_refused(tables, vary, budget, said, comm):
-    with pytest.raises(rw.InputError, match=said):
-        rw.design(tables(vary, **budget), comm)
 
 
 def test_the_folder_holds_the_next_tests(tables, laboratory, tmp_path, comm, capsys):
@@ -228,7 +198,6 @@ def test_the_folder_holds_the_next_tests(tables, laboratory, tmp_path, comm, cap
     run_design(file, folder, comm)
     assert {path.name for path in folder.iterdir()} == {"design.json", "design.png", "next.toml"}
     stored = json.loads((folder / "design.json").read_text())
-    assert set(stored["designs"][0]["sd"]) == set(TRUTH)
     tests = tomllib.loads((folder / "next.toml").read_text())["experiment"]
     for test, told in zip(tests, stored["designs"][0]["experiments"], strict=True):
         assert test["set"]["load.pressure"] == f"{10.0 * told['load.pressure']:.9g} bar"
@@ -238,7 +207,3 @@ def test_the_folder_holds_the_next_tests(tables, laboratory, tmp_path, comm, cap
     # beside those of the fit file they are planned tests, which tell what it says
     planned = rw.design(source | {"experiment": tests}, comm).planned
     assert planned.sd == pytest.approx([*stored["designs"][0]["sd"].values()], rel=1e-6)
-    assert next_tests(rw.design(source, comm)).count("[[experiment]]") == 2
-    with pytest.raises(rw.InputError, match=r"fit\.json"):
-        run_design(file, tmp_path / "later", comm, after=folder)
-    assert not (tmp_path / "later").exists()
