@@ -145,8 +145,9 @@ FAULTS = [
           "rows = table[some, last[some]]", "rows = table[some, last[some] - 1]",
           "studies/test_own_keys.py"),
     # fits, and plans of tests
-    Fault("AIC", "identification/fit_result.py", "return 2.0 * self.n_fitted +",
-          "return 1.0 * self.n_fitted +", "identification/test_fit_truths.py -k criteria"),
+    Fault("degrees of freedom", "identification/fit_result.py",
+          "for test in self.tests) - raised", "for test in self.tests)",
+          "identification/test_fit_truths.py -k freedom"),
     Fault("points left out", "identification/emulator.py", "/ (1.0 - leverage)[:, None]", "",
           "identification/test_emulator.py"),
     Fault("boxes along axes", "identification/emulator.py", "np.cov(points.T / width).reshape",

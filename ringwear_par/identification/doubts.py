@@ -4,7 +4,7 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,21 +14,15 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
+from ringwear_par.identification.definition.problem import Experiment, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fitted_tests import FittedTest
-from ringwear_par.identification.record_checks import Record, trend
+from ringwear_par.identification.record_checks import trend
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
 
-#: chi2 over the number of readings above which a series stands out, and fewest of them
-_HIGH, _SEVERAL = 2.0, 5
 #: sd above which readings do not belong to the others; the largest share of such readings
 _FAR, _SHARE = 6.0, 0.1
-#: correlation of two keys above which a bound of one is what the other is known by
-_CONDITIONAL = 0.87
 #: probabilities below which differences between tests, or blocks of residuals, are not by chance
 _NO_CHANCE, _NO_NOISE = 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
@@ -69,7 +63,8 @@ def checks(fit: "FitResult") -> list[dict[str, Any]]:
         name = "residuals in time: least probability that they are noise"
         more.append((name, -max(trends).size, _NO_NOISE))
     if apart is not None:
-        more.append((f"tests agree on {apart.key}: probability", apart.probability, _NO_CHANCE))
+        name = f"tests agree on {apart.keys[0]}: probability"
+        more.append((name, apart.values["p"], _NO_CHANCE))
     return [
         {
             "name": name,
@@ -84,8 +79,11 @@ def checks(fit: "FitResult") -> list[dict[str, Any]]:
 
 def doubts(fit: "FitResult") -> list[ValidityWarning]:
     """Return the doubts about a fit, those about its keys first."""
-    found = (_of_keys, _of_the_model, _outliers, _of_records, _of_tests, _of_sizes, _of_draws)
-    return [*(doubt for of in found for doubt in of(fit)), *assumptions(fit.problem.experiments)]
+    found = [*_of_keys(fit), *_of_the_model(fit), *_of_records(fit)]
+    if (apart := _disagreement(fit)) is not None and apart.values["p"] < _NO_CHANCE:
+        found.append(apart)
+    found += [*_of_sizes(fit), *_of_draws(fit)]
+    return [*found, *assumptions(fit.problem.experiments)]
 
 
 def _merged(code: str, found: Sequence[Finding], sentence: str) -> Iterator[ValidityWarning]:
@@ -107,31 +105,11 @@ def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
         keys = tuple(key for key in lost if entries[key]["direction"] == words)
         text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
         yield ValidityWarning("not-identified", text, keys)
-    for key, other, correlation in conditions(fit):
-        text = (
-            f"{key} is identified only by the bound {bound_of(entries[other]):g} of {other}: "
-            f"they are correlated by {correlation:+.2f}"
-        )
-        values = {"correlation": correlation}
-        yield ValidityWarning("conditional-verdict", text, (key, other), (), values)
-
-
-def bound_of(entry: Mapping[str, Any]) -> float:
-    """Return the bound at which a key is, by its entry in fit.json."""
-    return float(entry["bounds"][0 if entry["interval"][0] is None else 1])
-
-
-def conditions(fit: "FitResult") -> list[tuple[str, str, float]]:
-    """Return keys that are identified by the bound of another key, that, and their correlation."""
-    keys, table = [*fit.entries], fit.correlations
-    return [
-        (key, other, float(table[i, j]))
-        for i, key in enumerate(keys)
-        for j, other in enumerate(keys)
-        if fit.entries[key]["verdict"] == "identified"
-        and fit.entries[other]["verdict"] == "at bound"
-        and abs(table[i, j]) > _CONDITIONAL
-    ]
+    for key, entry in entries.items():
+        for other in entry.get("conditional_on", ()):
+            bound = entries[other]["bounds"][entries[other]["interval"][0] is not None]
+            text = f"{key} is identified only by the bound {bound:g} of {other}"
+            yield ValidityWarning("conditional-verdict", text, (key, other))
 
 
 def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
@@ -143,101 +121,59 @@ def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
             "another"
         )
         yield ValidityWarning("does-not-fit", text)
-        if fit.alternatives and all(other.flagged for other in fit.alternatives.values()):
-            yield ValidityWarning("no-law-fits", "none of the laws compared fits either")
-    bad = [
-        Finding(entry["chi2"] / entry["n"], f"{name} ({test})", test)
-        for test, of_test in fit.experiments.items()
-        for name, entry in of_test.items()
-        if entry["n"] > _SEVERAL and entry["chi2"] > _HIGH * entry["n"] and "sd" not in entry
-    ]
-    text = "chi2 is {:.3g} times the number of readings"
-    yield from _merged("series-does-not-fit", bad, text)
-
-
-def _records(fit: "FitResult") -> Iterator[tuple[FittedTest, Series, slice, str]]:
-    """Yield the test, the series, where its readings are, and its name, of all records."""
+    found = []
     for test in fit.tests:
         for series, part in test.records:
-            yield test, series, part, f"{series.name} ({test.experiment.name})"
-
-
-def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about readings that do not fit at all, and limits that do not hold."""
-    few, broken = [], []
-    for test, series, part, name in _records(fit):
-        off, side = test.residuals[part], test.censored[part]
-        far, owner = np.abs(off), test.experiment.name
-        if (wrong := (side * off > _FAR)).any():
-            broken.append(Finding(float(far[wrong].max()), name, owner))
-        far[side != 0.0] = 0.0
-        outside = far > _FAR
-        share = float(far[outside] @ far[outside] / max(far @ far, 1e-300))
-        rare = outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
-        if outside.any() and rare and not series.sd_fitted:
-            axis, unit = ("r", "mm") if series.profile else ("time", "s")
-            at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
-            few.append(Finding(float(far.max()), name + at, owner))
-    text = "up to {:.3g} sd off the model: check units; exclude leaves out an edge or a stop"
-    yield from _merged("outliers", few, text)
-    text = "the model is up to {:.3g} sd on the wrong side of limits; check censored and units"
-    yield from _merged("limits-broken", broken, text)
+            side, far = test.censored[part], np.abs(test.residuals[part])
+            far[side * test.residuals[part] < 0.0] = 0.0  # limits that hold
+            outside = far > _FAR
+            share = float(far[outside] @ far[outside] / max(far @ far, 1e-300))
+            rare = outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
+            if outside.any() and rare and not series.sd_fitted:
+                axis, unit = ("r", "mm") if series.profile else ("time", "s")
+                at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
+                name = f"{series.name} ({test.experiment.name}){at}"
+                found.append(Finding(float(far.max()), name, test.experiment.name))
+    text = (
+        "up to {:.3g} sd off the model: check units, and the side of limits; exclude leaves out an "
+        "edge or a stop"
+    )
+    yield from _merged("outliers", found, text)
 
 
 def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about records: trends, signs, growth that may be drift, curves of inputs."""
+    """Yield doubts about records: trends, growth that may be drift, curves of inputs."""
     text = (
         "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
         "and intervals are too narrow"
     )
     yield from _merged("residuals-trend", [f for f in _trends(fit) if -f.size < _NO_NOISE], text)
-    against: list[Finding] = []
-    alike: list[Finding] = []
-    exclude = ""
-    for test, series, part, name in _records(fit):
-        values = not test.censored[part].any()
-        if values and READING_KINDS[series.kind].of_wear and not series.profile:
-            record = Record(test.experiment, series, test.pure[part])
-            if record.opposes():
-                against.append(Finding(-float(len(against)), name, test.experiment.name))
-                exclude = exclude or _excluded(record.exclude)
-        time = test.growth_times.get(test.experiment.series.index(series))
-        flat = {n.kind for n in series.nuisances if n.prior is None}
-        if time is not None and {"drift", "thermal"} <= flat:
+    alike = []
+    for test in fit.tests:
+        for number, time in test.growth_times.items():
+            series = test.experiment.series[number]
             lengths = float(series.x.max() / np.median(time))
-            if lengths < _ALIKE:
+            flat = {n.kind for n in series.nuisances if n.prior is None}
+            if {"drift", "thermal"} <= flat and lengths < _ALIKE:
+                name = f"{series.name} ({test.experiment.name})"
                 alike.append(Finding(-lengths, name, test.experiment.name))
-    text = (
-        "apart from nuisances, readings fall where the model rises; check their sign and the "
-        f"record of the test{exclude}"
-    )
-    yield from _merged("readings-oppose", against, text)
     text = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
     yield from _merged("drift-or-growth", alike, text)
     yield from input_trends(fit.problem.experiments)
 
 
-def _excluded(part: tuple[float, float] | None) -> str:
-    """Return what to do about a part of a record that opposes the model."""
-    if part is None:
-        return ""
-    first, last = part
-    return (
-        f"; if readings from {first:.10g} to {last:.10g} s show something else than wear, leave "
-        f"them out: exclude = [[{first:.10g}, {last:.10g}]]"
-    )
-
-
 def _trends(fit: "FitResult") -> list[Finding]:
     """Return how probable, times -1, the residuals of records in time are if they are noise."""
     found = []
-    for test, series, part, name in _records(fit):
-        values = test.censored[part] == 0.0
-        if not series.profile and values.any():
-            # noise that is given is no smaller than that
-            least = 0.0 if series.sd_fitted else 1.0
-            p = trend(test.residuals[part][values], len(series.nuisances), least)
-            found.append(Finding(-p, name, test.experiment.name))
+    for test in fit.tests:
+        for series, part in test.records:
+            values = test.censored[part] == 0.0
+            if not series.profile and values.any():
+                # noise that is given is no smaller than that
+                least = 0.0 if series.sd_fitted else 1.0
+                p = trend(test.residuals[part][values], len(series.nuisances), least)
+                name = f"{series.name} ({test.experiment.name})"
+                found.append(Finding(-p, name, test.experiment.name))
     return found
 
 
@@ -259,25 +195,6 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
     return [*_merged("input-trend", found, text)]
 
 
-class Disagreement(NamedTuple):
-    """How values of a key differ between tests: Cochran's Q, and the scatter that explains it."""
-
-    q: float
-    freedom: int
-    scatter: float
-    key: str
-    #: whether tests of equal conditions do
-    equal: bool
-    #: of the key, median of the tests, by their own readings
-    own_sd: float
-    tests: tuple[str, ...]
-
-    @property
-    def probability(self) -> float:
-        """Probability of so large a Q where tests do not differ."""
-        return float(chi2.sf(self.q, self.freedom)) if self.freedom else 1.0
-
-
 def heterogeneity(
     score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
 ) -> tuple[float, int, float]:
@@ -293,51 +210,39 @@ def heterogeneity(
     return q, freedom, float(scatter)
 
 
-def _disagreement(fit: "FitResult") -> Disagreement | None:
-    """Return the key of a rate that differs most between tests, and how much; None: none can."""
-    problem, found = fit.problem, []
-    score = np.array([squares.score[0] for squares in fit.squares])
-    information = np.array([np.diag(squares.information[0]) for squares in fit.squares])
-    equal_tests = defaultdict(list)
-    for i, experiment in enumerate(problem.experiments):
-        equal_tests[experiment.conditions].append(i)
-    for j, (key, parameter) in enumerate(zip(problem.keys, problem.parameters, strict=True)):
-        a = information[:, j]
+def _disagreement(fit: "FitResult") -> ValidityWarning | None:
+    """Return the doubt about the key of a rate that differs most between tests; None: none can.
+
+    Its value p is how probable such differences are by chance.
+    """
+    tests, found = fit.problem.experiments, []
+    for j, parameter in enumerate(fit.problem.parameters):
+        key, (score, a) = parameter.key, fit.information[:, :, j]
         informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
         free = parameter.scatter is None and fit.entries[key]["verdict"] == "identified"
         if len(informed) < 2 or not free or not key.startswith(_RATES):
             continue
-        groups = [[i for i in tests if i in informed] for tests in equal_tests.values()]
-        about = (
-            float(np.median(a[informed] ** -0.5)),
-            tuple(problem.experiments[i].name for i in informed),
+        equal_tests = defaultdict(list)
+        for i in informed:
+            equal_tests[tests[i].conditions].append(i)
+        of, more = "equal", ""
+        q, freedom, scatter = heterogeneity(score, a, [*equal_tests.values()])
+        if not freedom or chi2.sf(q, freedom) >= _NO_CHANCE:
+            of, more = "different", ", or another law"
+            q, freedom, scatter = heterogeneity(score, a, [informed])
+        own = float(np.median(a[informed] ** -0.5))
+        unit = "" if parameter.log else unit_of_key(fit.problem, key)
+        sizes = [f"{100 * v:.2g} %" if parameter.log else f"{v:.2g}{unit}" for v in (scatter, own)]
+        text = (
+            f"{key} scatters between tests of {of} conditions by {sizes[0]} (DerSimonian-Laird), "
+            f'but the readings explain only {sizes[1]}: use scatter = "fit"{more}'
         )
-        alike = Disagreement(*heterogeneity(score[:, j], a, groups), key, True, *about)
-        every = Disagreement(*heterogeneity(score[:, j], a, [informed]), key, False, *about)
-        found.append(alike if alike.probability < _NO_CHANCE else every)
+        values = {"q": q, "freedom": freedom, "scatter": scatter,
+                  "p": float(chi2.sf(q, freedom)), "readings": own}  # fmt: skip
+        names = tuple(tests[i].name for i in informed)
+        found.append(ValidityWarning("tests-disagree", text, (key,), names, values))
     # one that scatters makes the others look as if they did
-    return max(found, key=lambda entry: entry.q, default=None)
-
-
-def _of_tests(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield a doubt about the key of a rate whose values differ most between tests."""
-    if (found := _disagreement(fit)) is None or found.probability >= _NO_CHANCE:
-        return
-    key = found.key
-    log = fit.problem.parameters[fit.problem.keys.index(key)].log
-    unit = "" if log else unit_of_key(fit.problem, key)
-    scatter, own = (
-        f"{100.0 * size:.2g} %" if log else f"{size:.2g}{unit}"
-        for size in (found.scatter, found.own_sd)
-    )
-    text = (
-        f"{key} scatters between tests of {'equal' if found.equal else 'different'} conditions by "
-        f"{scatter} (DerSimonian-Laird), but the readings explain only {own}: use "
-        f'scatter = "fit"{"" if found.equal else ", or another law"}'
-    )
-    values = {"q": found.q, "freedom": found.freedom, "scatter": found.scatter,
-              "p": found.probability, "readings": found.own_sd}  # fmt: skip
-    yield ValidityWarning("tests-disagree", text, (key,), found.tests, values)
+    return max(found, key=lambda doubt: doubt.values["q"], default=None)
 
 
 def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
@@ -359,45 +264,34 @@ def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
         if entry["verdict"] != "identified":
             text = f"wear of {body}: intervals hold what was assumed of wear's own noise before"
             yield ValidityWarning("process-from-prior", text, (key,))
-        if coarse_wear(fit, key):
-            size = entry["size"].get("estimate", entry["size"].get("known"))
+        size, between = entry["size"], entry["between_readings"]
+        events = size.get("estimate", size.get("known"))
+        if between is not None and events > between:
             text = (
-                f"wear of {body} comes in events of {1e6 * size:.3g} nm, more than is worn between "
-                "two readings: intervals of their size are not right"
+                f"wear of {body} comes in events of {1e6 * events:.3g} nm, more than is worn "
+                "between two readings: intervals of their size are not right"
             )
             yield ValidityWarning("coarse-wear", text, (key,))
 
 
-def coarse_wear(fit: "FitResult", key: str) -> bool:
-    """Tell whether events of random wear are larger than what is worn between two readings."""
-    body, size = [*fit.process].index(key), fit.process[key]["size"]
-    steps = [
-        np.diff(np.unique(test.depths[part, body]))
-        for test in fit.tests
-        for series, part in test.records
-        if series.n > _SEVERAL and not series.profile
-    ]
-    between = float(np.median(np.concatenate(steps))) if steps else np.inf
-    return float(size.get("estimate", size.get("known"))) > between
-
-
 def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about draws that are not those of the posterior."""
-    if fit.solution.weighed:
-        yield ValidityWarning("weighed", fit.solution.weighed)
-    elif not np.isfinite(fit.solution.step_error):
+    solution = fit.solution
+    if solution.weighed:
+        yield ValidityWarning("weighed", solution.weighed)
+    elif not np.isfinite(solution.step_error):
         text = (
             "draws still reach the ends of where emulators are known: intervals may be too narrow; "
             "narrower bounds or priors would help"
         )
         yield ValidityWarning("not-settled", text)
-    elif fit.solution.step_error >= _STEPPED:
-        text = f"time steps half as long would change log p by {fit.solution.step_error:.2g} (sd)"
+    elif solution.step_error >= _STEPPED:
+        text = f"time steps half as long would change log p by {solution.step_error:.2g} (sd)"
         yield ValidityWarning("step-dependent", text)
-    if fit.solution.failed > _FAILED * fit.solution.histories:
+    if solution.failed > _FAILED * solution.histories:
         text = (
-            f"{fit.solution.failed} of {fit.solution.histories} histories failed, and count as "
-            f"improbable: {fit.solution.reason}"
+            f"{solution.failed} of {solution.histories} histories failed, and count as "
+            f"improbable: {solution.reason}"
         )
         yield ValidityWarning("histories-failed", text)
 

@@ -13,15 +13,12 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.design.information import information
 from ringwear_par.identification.doubts import assumptions
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.key_estimates import direction, prior_sd
+from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
 from ringwear_par.identification.likelihood import Setting
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import settings_at
-from ringwear_par.identification.summary import digits_of, limits, number
+from ringwear_par.identification.summary import KeyRow
 from ringwear_par.results.execution.stop_signals import StopSignals
-
-#: share of the prior's sd above which a key would not be identified
-_VAGUE = 0.5
 
 
 def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
@@ -70,18 +67,16 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
     for j, parameter in enumerate(problem.parameters):
         sd, scale = float(np.sqrt(covariance[j, j])), unit_scale(parameter)
         unit = parameter.unit or units[parameter.key]
-        at = parameter.unknown(parameter.start)
+        unit = "" if unit in ("1", "-") else unit
+        at, (low, high) = parameter.unknown(parameter.start), bounds[:, j]
         ends = [at - reach * sd, at + reach * sd]
-        low, high = bounds[:, j]
         interval = [parameter.value(end) / scale if low < end < high else None for end in ends]
-        text = f"{number(parameter.start / scale)} {'' if unit in ('1', '-') else unit}".rstrip()
-        of = " of the material" * (parameter.scatter is not None)
-        if sd > _VAGUE * prior_sd(parameter):
+        row = KeyRow(parameter.key, parameter.start / scale, sd, unit, interval)
+        words = f"{row.ends} ({100 * level:g} %)"
+        if sd > VAGUE * prior_sd(parameter):
             words = f"would not be identified: {direction(problem, covariance, j)}"
-        else:
-            digits = digits_of(parameter.start / scale, interval)
-            words = f"{limits(interval, digits)} ({100 * level:g} %)"
-        lines.append(f"  {parameter.key.ljust(width)}  {text}{of}  {words}")
+        of = " of the material" * (parameter.scatter is not None)
+        lines.append(f"  {row.label.ljust(width)}  {row.value}{of}  {words}")
     scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter]
     if taken := [key for key, sizes in scatters if None in sizes.values()]:
         lines.append(
@@ -95,26 +90,14 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
 
 
 def _readings(problem: Problem) -> list[str]:
-    """Return a line of each kind of readings: how many, of how many tests, and their noise."""
-    kinds: dict[tuple[str, str, bool], list[tuple[str, int, float]]] = defaultdict(list)
+    """Return a line of each kind of readings: how many, and of how many tests."""
+    found: dict[str, list[int]] = defaultdict(list)
     for test in problem.experiments:
-        for series in test.series:
-            spread = float(np.median(series.sd)) / series.factor
-            kind = series.quantity, series.unit, series.sd_fitted
-            kinds[kind].append((test.name, series.n, spread))
+        for name in dict.fromkeys(series.quantity for series in test.series):
+            found[name].append(sum(s.n for s in test.series if s.quantity == name))
         for measured in test.inputs:
-            kinds[f"{measured.key} as measured", measured.series.unit, False].append(
-                (test.name, measured.series.n, 0.0)
-            )
-    lines = []
-    for (name, unit, fitted), found in kinds.items():
-        tests = len({test for test, _, _ in found})
-        low, high = (of(spread for _, _, spread in found) for of in (min, max))
-        noise = (
-            f", noise {low:.3g}" + f" to {high:.3g}" * (f"{high:.3g}" != f"{low:.3g}") + f" {unit}"
-        )
-        text = f"  {name}: {counted(sum(n for _, n, _ in found), 'reading')} of "
-        lines.append(
-            text + counted(tests, "test") + noise * (high > 0.0) + " (to be fitted)" * fitted
-        )
-    return lines
+            found[f"{measured.key} as measured"].append(measured.series.n)
+    return [
+        f"  {name}: {counted(sum(counts), 'reading')} of {counted(len(counts), 'test')}"
+        for name, counts in found.items()
+    ]

@@ -14,10 +14,10 @@ from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
+from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_tests import fitted_test, local_squares
+from ringwear_par.identification.fitted_tests import fitted_test, scores_and_information
 from ringwear_par.identification.histories import HistoryError, Readings, StoppedError
 from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.record_checks import refuse_unfit
@@ -87,10 +87,11 @@ def fit_problem(problem: Problem, comm: MPI.Intracomm, *, compare: bool = False)
 def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> FitResult:
     """Return the result under one law. Collective on comm."""
     if problem.settings.process:  # matrices of all readings of a test
-        tests = [
-            replace(test, series=tuple(_few(series, test.case.time.end) for series in test.series))
-            for test in problem.experiments
-        ]
+        tests = []
+        for test in problem.experiments:
+            end = test.case.time.end
+            series = [averaged(s, end) if s.n > BLOCKS else s for s in test.series]
+            tests.append(replace(test, series=tuple(series)))
         problem = replace(problem, experiments=tuple(tests))
     readings = Readings(problem, comm, signals)
 
@@ -99,10 +100,6 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
         return _result(readings, solve(readings))
 
     return readings.lead(lead)
-
-
-def _few(series: Series, end: float) -> Series:
-    return averaged(series, end) if series.n > BLOCKS else series
 
 
 def _result(readings: Readings, solution: Solution) -> FitResult:
@@ -120,12 +117,12 @@ def _result(readings: Readings, solution: Solution) -> FitResult:
         fitted_test(likelihood, best[i], x[some, i], solution.depths, random)
         for i, likelihood in enumerate(posterior.likelihoods)
     )
-    shares = np.median(posterior.shares(solution.theta, posterior.known), axis=0)[None]
-    squares = tuple(
-        local_squares(likelihood, best[None, i], shares, range(posterior.m), own_sds(x[:, i]))
+    shares = np.median(posterior.shares(solution.theta, posterior.known), axis=0)
+    slopes = [
+        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
         for i, likelihood in enumerate(posterior.likelihoods)
-    )
-    information = np.array([np.diag(of_test.information[0]) for of_test in squares])
+    ]
+    information = np.stack(slopes, axis=1)
     nuisances = {
         f"{kind} of {t.experiment.series[i].name} ({t.experiment.name})": drawn
         for t in tests for (i, kind), drawn in t.nuisances.items() if i >= 0
@@ -133,18 +130,12 @@ def _result(readings: Readings, solution: Solution) -> FitResult:
     return FitResult(
         problem=problem, solution=solution, draws=draws, process=process_entries(solution),
         entries=key_entries(
-            solution, material, np.maximum(information, 1e-300) ** -0.5, material[some], nuisances
+            solution, material, np.maximum(information[1], 1e-300) ** -0.5, material[some],
+            nuisances,
         ),
-        tests=tests, squares=squares, laboratory=_laboratory(readings, best), versions=versions(),
+        tests=tests, information=information, laboratory=_laboratory(readings, best),
+        versions=versions(),
     )  # fmt: skip
-
-
-def own_sds(x: FloatArray) -> FloatArray:
-    """Return the sd (m,) of each unknown given all others, by draws (s, m)."""
-    covariance = np.atleast_2d(np.cov(x.T))
-    inverse = np.linalg.pinv(covariance, hermitian=True)
-    sds: FloatArray = np.maximum(np.diag(inverse), 1e-300) ** -0.5
-    return np.minimum(sds, np.sqrt(np.diag(covariance)))
 
 
 def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]:

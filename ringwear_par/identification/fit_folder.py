@@ -1,7 +1,6 @@
 """The folder of a fit: its outcome, its draws and readings, its figures, each there once whole."""
 
 import re
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.files.folders import (
     CURVES,
     ESTIMATES,
@@ -24,11 +24,7 @@ from ringwear_par.files.folders import (
 from ringwear_par.identification.definition.problem import BASE, body_of_wear
 from ringwear_par.identification.draws import write_draws
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_tests import (
-    local_squares,
-    marginal_log_p,
-    readings_of_draws,
-)
+from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -88,84 +84,56 @@ def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, lis
 
 def _log_p_of_tests(fit: FitResult) -> FloatArray:
     """Return log p (s, tests) of the readings of each test, given the material and its scatter."""
-    draws, posterior = fit.draws, fit.solution.posterior
-    scatters = [s.key for s in posterior.scatterings]
-    variances = np.zeros((len(draws), len(scatters)))
+    draws, problem, depths = fit.draws, fit.problem, fit.solution.depths
+    variances = np.zeros_like(draws.material)
     for (key, _), sd in draws.scatter.items():
-        variances[:, scatters.index(draws.keys.index(key))] += sd**2
-    # by rows that are in the order of draws
-    depths = fit.solution.depths
-    bodies = [body_of_wear(key) for key in fit.problem.settings.process]
-    sizes = draws.process[:, [("lower", "upper").index(body) for body in bodies]]
-    shares = np.sqrt(sizes / depths) if len(depths) else np.zeros((len(draws), 0))
-    logs = []
-    for i, likelihood in enumerate(posterior.likelihoods):
-        x = draws.tests[:, i]
-        information = np.diag(fit.squares[i].information[0])[scatters]
-        sd = np.maximum(information, 1e-12) ** -0.5
-        squares = local_squares(likelihood, x, shares, scatters, sd)
-        off = draws.material[:, scatters] - x[:, scatters]
-        logs.append(marginal_log_p(squares, off, variances))
-    return np.stack(logs, axis=1)
+        variances[:, draws.keys.index(key)] += sd**2
+    bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
+    shares = np.sqrt(draws.process[:, bodies] / depths)
+    return log_p_of_tests(
+        fit.solution.posterior, draws.tests, draws.material, np.sqrt(variances), shares
+    )
 
 
 def _write(file: h5py.File, fit: FitResult) -> None:
     problem = fit.problem
     file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
                        **fit.versions})  # fmt: skip
-    _write_inputs(file, fit)
-    number = 0
-    for test in fit.tests:
-        for series, part in test.records:
-            number += 1
-            name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}"
-            _, put = _group_of_readings(
-                file, name, series.n, experiment=test.experiment.name, series=series.name,
-                quantity=series.quantity, file=series.file, data_unit=series.unit,
-                contact=test.experiment.case.contact,
-            )  # fmt: skip
-            base = BASE[series.kind]
-            if series.profile:
-                put("r", series.x, "mm", "radius")
-            else:
-                put("time", series.x, "s", "time")
-            put("data", series.value, base, "what was read")
-            put("sd", test.sd[part], base, "noise of the data")
-            meaning = "the model's reading, with nuisances and random wear"
-            put("model", test.model[part], base, meaning)
-            put("band", test.band[part], base, "sd of the model's reading")
-            for body, key in enumerate(problem.settings.process):
-                name = f"excess_{body_of_wear(key)}"
-                meaning = "mean depth worn beyond that of the law, by the readings"
-                put(name, test.excess[part, body], "mm", meaning)
-                put(f"{name}_sd", test.excess_sd[part, body], "mm", f"sd of {name}")
-            if test.censored[part].any():
-                meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-                put("censored", test.censored[part], "1", meaning)
-            put("residual", test.residuals[part], "1", "data less model over its noise, white")
-
-
-def _write_inputs(file: h5py.File, fit: FitResult) -> None:
-    """Write the readings of inputs and the curves of cases there."""
+    records = [(test, *record) for test in fit.tests for record in test.records]
+    for number, (test, series, part) in enumerate(records, start=1):
+        group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
+        group.attrs.update(
+            experiment=test.experiment.name, series=series.name, quantity=series.quantity,
+            file=series.file, data_unit=series.unit, contact=test.experiment.case.contact,
+        )  # fmt: skip
+        base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
+        put = partial(_put, group)
+        put(at[0], series.x, at[1], "where or when it was read")
+        put("data", series.value, base, "what was read")
+        put("sd", test.sd[part], base, "noise of the data")
+        meaning = "the model's reading, with nuisances and random wear"
+        put("model", test.model[part], base, meaning)
+        put("band", test.band[part], base, "sd of the model's reading")
+        put("residual", test.residuals[part], "1", "data less model over its noise, white")
+        for body, key in enumerate(problem.settings.process):
+            name = f"excess_{body_of_wear(key)}"
+            meaning = "mean depth worn beyond that of the law, by the readings"
+            put(name, test.excess[part, body], "mm", meaning)
+            put(f"{name}_sd", test.excess_sd[part, body], "mm", f"sd of {name}")
+        if test.censored[part].any():
+            meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+            put("censored", test.censored[part], "1", meaning)
     for number, (name, key, unit, time, value, curve) in enumerate(fit.input_readings, start=1):
-        _, put = _group_of_readings(
-            file, f"inputs/{number}", len(time), experiment=name, key=key, unit=unit
-        )
-        put("time", time, "s", "time")
-        put("data", value, unit, "reading, in the unit of the key")
-        put("curve", curve, unit, "the case's value")
+        group = file.create_group(f"inputs/{number}")
+        group.attrs.update(experiment=name, key=key, unit=unit)
+        _put(group, "time", time, "s", "time")
+        _put(group, "data", value, unit, "reading, in the unit of the key")
+        _put(group, "curve", curve, unit, "the case's value")
 
 
-def _group_of_readings(
-    file: h5py.File, name: str, count: int, /, **attributes: Any
-) -> tuple[h5py.Group, Callable[..., None]]:
-    """Return a new group of readings, and what puts one more variable of them into it."""
-    group = file.create_group(name)
-    group.attrs.update(attributes)
-    axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
-    write_variable(group, axis, np.arange(count))
-
-    def put(word: str, values: Any, unit: str, meaning: str, *more: str) -> None:
-        write_variable(group, Variable(word, ("reading", *more), unit, meaning), values)
-
-    return group, put
+def _put(group: h5py.Group, name: str, values: FloatArray, unit: str, meaning: str) -> None:
+    """Write a variable of the readings of a group."""
+    if "reading" not in group:
+        axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
+        write_variable(group, axis, np.arange(len(values)))
+    write_variable(group, Variable(name, ("reading",), unit, meaning), values)

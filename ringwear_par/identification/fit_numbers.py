@@ -12,7 +12,7 @@ from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
-from ringwear_par.identification.doubts import checks, coarse_wear, conditions
+from ringwear_par.identification.doubts import checks
 from ringwear_par.wear.laws.threshold import AboveThreshold
 
 if TYPE_CHECKING:
@@ -56,43 +56,31 @@ def specific_wear_rate(
     The values (s, m) are draws of the keys.
     """
     body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
-    share = _share_of_friction(problem, body, entries) if body in BODIES else None
-    if share is None:
+    threshold = entries.get(f"wear.{body}.p0", {}).get("estimate")
+    cases = [experiment.case for experiment in problem.experiments]
+    shares = {_share(case, body, threshold) for case in cases} if body in BODIES else {None}
+    (share, *others) = shares
+    if share is None or others:
         return None
-    scale, i = share / factor(SPECIFIC, None), problem.keys.index(key)
-    estimate = scale * entry["estimate"]
-    rate: dict[str, Any] = {"unit": SPECIFIC, "estimate": estimate}
-    rate["interval"] = [None if end is None else scale * end for end in entry["interval"]]
-    rate["sd"] = scale * entry["sd"]
+    unit = factor(SPECIFIC, None)
+    if share == 1.0 or _FRICTION not in problem.keys:
+        ends = [None if end is None else share * end / unit for end in entry["interval"]]
+        estimate, sd = (share * entry[name] / unit for name in ("estimate", "sd"))
+    else:
+        share = float(entries[_FRICTION]["estimate"])
+        products = values[:, problem.keys.index(key)] * values[:, problem.keys.index(_FRICTION)]
+        level, (estimate, sd) = problem.settings.level, (np.median(products), products.std())
+        tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
+        ends = (np.quantile(products, tails) / unit).tolist()
+        estimate, sd = float(estimate) / unit, float(sd) / unit
+    rate = {"unit": SPECIFIC, "estimate": estimate, "sd": sd, "interval": ends}
     if share != 1.0:
         rate["mu"] = share
-        if _FRICTION in problem.keys:
-            products = values[:, i] * values[:, problem.keys.index(_FRICTION)]
-            products = products / factor(SPECIFIC, None)
-            estimate = rate["estimate"] = float(np.median(products))
-            rate["sd"] = float(products.std())
-            level = problem.settings.level
-            ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)])
-            rate["interval"] = ends.tolist()
-    rate[CUSTOMARY] = estimate * factor(SPECIFIC, None) / factor(CUSTOMARY, None)
-    return rate
-
-
-def _share_of_friction(problem: Problem, body: str, entries: Mapping[str, Entry]) -> float | None:
-    """Return the factor of a body's k, mu or 1; None where k is no such coefficient."""
-    cases = [experiment.case for experiment in problem.experiments]
-    threshold = entries.get(f"wear.{body}.p0")
-    shares = {_share(case, body, None if threshold is None else threshold["estimate"])
-              for case in cases}  # fmt: skip
-    if len(shares) != 1:
-        return None
-    (share,) = shares
-    if share not in (None, 1.0) and _FRICTION in entries:
-        return float(entries[_FRICTION]["estimate"])
-    return share
+    return {**rate, CUSTOMARY: estimate * unit / factor(CUSTOMARY, None)}
 
 
 def _share(case: Case, body: str, threshold: float | None) -> float | None:
+    """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
     law, mu = getattr(case, f"wear_{body}"), case.friction
     if not isinstance(mu, float) or not isinstance(getattr(law, "k", None), float):
         return None
@@ -106,7 +94,7 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
     """Return the contents of fit.json."""
     problem, solution = fit.problem, fit.solution
     return {
-        "parameters": _parameters(fit),
+        "parameters": {key: dict(entry) for key, entry in fit.entries.items()},
         "keys": [*problem.keys],
         "covariance": fit.covariance.tolist(),
         "level": problem.settings.level,
@@ -116,11 +104,10 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "p_value": fit.p_value,
         "flagged": fit.flagged,
         "aic": fit.aic,
-        "bic": fit.bic,
         "log_evidence": solution.log_evidence,
         "evidence": {"log": solution.log_evidence, "error": solution.evidence_error},
         "specimens": len({test.groups[0] for test in problem.experiments}),
-        "process": _process(fit),
+        "process": {key: dict(entry) for key, entry in fit.process.items()},
         "experiments": fit.experiments,
         "tests": dict(fit.laboratory),
         "nuisance": fit.nuisances,
@@ -145,30 +132,6 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "versions": dict(fit.versions),
         "data": dict(problem.hashes),
     }  # fmt: skip
-
-
-def _parameters(fit: "FitResult") -> dict[str, dict[str, Any]]:
-    problem, entries = fit.problem, {key: dict(entry) for key, entry in fit.entries.items()}
-    for key, bound, _ in conditions(fit):
-        entries[key].setdefault("conditional_on", []).append(bound)
-    values = fit.draws.values(fit.draws.material)
-    for parameter in problem.parameters:
-        entry, case = entries[parameter.key], problem.experiments[0].case
-        if (numbers := in_users_unit(parameter, entry, case)) is not None:
-            entry["told"] = numbers
-        rate = specific_wear_rate(problem, parameter.key, entries, values)
-        if rate is not None:
-            entry["specific_wear_rate"] = rate
-    return entries
-
-
-def _process(fit: "FitResult") -> dict[str, dict[str, Any]]:
-    process = {key: dict(entry) for key, entry in fit.process.items()}
-    for key, entry in process.items():
-        if coarse_wear(fit, key) and "estimate" in entry["size"]:
-            for name in ("size", "share"):
-                entry[name] = {"estimate": entry[name]["estimate"], "interval": [None, None]}
-    return process
 
 
 def _inputs(fit: "FitResult") -> dict[str, dict[str, Any]]:

@@ -1,6 +1,5 @@
 """The result of a fit: estimates with intervals, goodness of fit, what remains open."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,7 +12,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.draws import Draws
-from ringwear_par.identification.fitted_tests import FittedTest, LocalSquares
+from ringwear_par.identification.fitted_tests import FittedTest
 from ringwear_par.identification.key_estimates import ParameterEstimate
 from ringwear_par.identification.solution import Solution
 from ringwear_par.results.result import Outcome
@@ -37,7 +36,7 @@ class FitResult(Outcome):
     draws : of what the fit knows, in the order of chains.
     entries, process : of the fitted keys and of random wear, as fit.json has them.
     tests : at the mode and among the draws.
-    squares : of each test, about the mode.
+    information : (2, tests, m) slopes of log p of each test at the mode, and minus its curvatures.
     laboratory : numbers of laboratories at the end of each test, by its name.
     versions : of the software.
     alternatives : outcomes under other laws, by name.
@@ -57,7 +56,7 @@ class FitResult(Outcome):
     entries: Mapping[str, dict[str, Any]]
     process: Mapping[str, dict[str, Any]]
     tests: tuple[FittedTest, ...]
-    squares: tuple[LocalSquares, ...]
+    information: FloatArray
     laboratory: Mapping[str, dict[str, dict[str, Any]]]
     versions: Mapping[str, str]
     alternatives: "Mapping[str, FitResult]" = field(default_factory=dict)
@@ -84,11 +83,6 @@ class FitResult(Outcome):
         return np.atleast_2d(np.cov(self.draws.values(self.draws.material).T))
 
     @property
-    def correlations(self) -> FloatArray:
-        """(m, m) of the fitted keys' unknowns."""
-        return np.atleast_2d(np.corrcoef(self.draws.material.T))
-
-    @property
     def n(self) -> int:
         """Number of readings."""
         return sum(len(test.data) for test in self.tests)
@@ -101,7 +95,7 @@ class FitResult(Outcome):
         """
         if self.problem.settings.loss == "student":  # the sd of outliers is larger in the others
             return sum(float(np.square(t.residuals[t.censored == 0.0]).sum()) for t in self.tests)
-        return sum(test.squares for test in self.tests)
+        return sum(float(test.squares[:, 0].sum()) for test in self.tests)
 
     @property
     def freedom(self) -> float:
@@ -109,8 +103,9 @@ class FitResult(Outcome):
 
         These count by how much the draws raise the squares above those of the mode.
         """
-        raised = sum(float(test.drawn_squares.mean()) - test.squares for test in self.tests)
-        return max(sum(test.freedom for test in self.tests) - max(raised, 0.0), 0.0)
+        squares = np.sum([test.squares.sum(axis=0) for test in self.tests], axis=0)
+        raised = max(float(squares[1:].mean() - squares[0]), 0.0)
+        return max(sum(float(test.freedom.sum()) for test in self.tests) - raised, 0.0)
 
     @cached_property
     def p_value(self) -> float | None:
@@ -119,10 +114,10 @@ class FitResult(Outcome):
         The mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384). None where all noise was
         fitted, and under the loss "student", whose noise has long tails.
         """
-        free = sum(test.tested_freedom for test in self.tests)
+        free = sum(float(test.freedom[test.given].sum()) for test in self.tests)
         if self.problem.settings.loss == "student" or free < 1.0:
             return None
-        squares = np.sum([test.tested_squares for test in self.tests], axis=0)
+        squares = np.sum([test.squares[test.given, 1:].sum(axis=0) for test in self.tests], axis=0)
         return float(chi2.sf(squares, free).mean())
 
     @property
@@ -131,20 +126,15 @@ class FitResult(Outcome):
         return self.p_value is not None and self.p_value < IMPROBABLE
 
     @property
-    def n_fitted(self) -> float:
-        """Number of fitted numbers: keys or values of specimens, nuisances, noises and sizes."""
-        posterior = self.solution.posterior
-        return posterior.dimension + sum(t.n_fitted for t in self.tests)
-
-    @property
     def aic(self) -> float:
-        """Akaike's information criterion at the mode, where priors count as readings."""
-        return 2.0 * self.n_fitted + sum(t.deviance for t in self.tests)
+        """Akaike's information criterion at the mode, but for a constant of the readings.
 
-    @property
-    def bic(self) -> float:
-        """The Bayesian one: log ``n`` for each of ``n_fitted``."""
-        return math.log(self.n) * self.n_fitted + sum(t.deviance for t in self.tests)
+        Nuisances and fitted noise are integrated out, as in the posterior.
+        """
+        posterior, best = self.solution.posterior, self.solution.best[None]
+        shares = posterior.shares(best, posterior.known)
+        log_p = float(posterior.of_readings(posterior.of_tests(best), shares)[0])
+        return 2.0 * posterior.dimension - 2.0 * log_p
 
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:

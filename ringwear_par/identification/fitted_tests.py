@@ -7,76 +7,67 @@ reading is off its expectation by (P r)_i / P_ii, with the variance 1 / P_ii (Su
 Keerthi, Neural Comput. 13 (2001) 1103-1118).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr
+from scipy.stats import norm, qmc
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood, sides
 from ringwear_par.identification.noise import brownian_root, coloured, whitened
+from ringwear_par.identification.posterior import Posterior
 
-#: step of differences of log p, in the sd of an unknown given the others
-_STEP = 0.5
+#: step of differences of log p, in the sd of an unknown
+_STEP = 0.02
+#: values of the next specimen over which the likelihood of a test is averaged
+_SPECIMENS = 64
+#: sd of these about the draws, over that of what is left open
+_WIDER = 2.0
 
 
-class Part(NamedTuple):
-    """Readings of a part of a test, see ``TestLikelihood``, each draw with its likeliest growth."""
+class Explained(NamedTuple):
+    """What the readings of a test tell beside those (P, n) of the model, see above."""
 
-    #: (n,) numbers of its readings
-    rows: IntArray
-    #: (n, s) P r, see above
+    #: (n, P) P r and P_ii, each with its likeliest growth; 0 of limits
     scores: FloatArray
-    #: (n, s) P_ii, and (n, n) P with the growth that is likeliest of all
-    information: FloatArray
+    diagonal: FloatArray
+    #: (n, n) P with the growth that is likeliest of all
     precision: FloatArray
-    #: (s,) r' P r with the priors' squares, and its degrees of freedom
+    #: (parts, P) r' P r with the squares of priors, see ``TestLikelihood.parts``
     squares: FloatArray
-    freedom: float
-    #: whether the sd of all its readings is given
-    given: bool
-    #: log of the determinant of the covariance of readings, nuisances known
-    log_volume: float
 
 
-def parts_at(likelihood: TestLikelihood, readings: FloatArray) -> list[Part]:
-    """Return the parts of a test by readings (s, n) of the model."""
-    parts = []
-    by_node = likelihood.by_node(readings)
-    for numbers, (noise, growth), logs in zip(
-        likelihood.parts, likelihood.noises, by_node, strict=True
-    ):
-        white = noise(noise.data(likelihood.data[noise.rows])[:, None] - readings.T[noise.rows])
-        every = np.eye(len(noise.rows))
-        units, nodes = noise(every), logs.argmax(axis=0)
-        taken = growth.directions(units, np.zeros(len(every)))
-        along = growth.directions(white, np.ones(len(nodes)))[nodes, :, np.arange(len(nodes))]
-        squares = growth.squares(white)[nodes, np.arange(len(nodes))]
-        whole, likeliest = units.T @ units, taken[np.logaddexp.reduce(logs, axis=1).argmax()]
+def explained(likelihood: TestLikelihood, readings: FloatArray) -> Explained:
+    """Return what the readings of a test tell beside those (P, n) of the model."""
+    n, each = likelihood.test.n, np.arange(len(readings))
+    scores, diagonal = np.zeros((2, n, len(readings)))
+    precision, squares = np.zeros((n, n)), []
+    for (noise, growth), logs in zip(likelihood.noises, likelihood.by_node(readings), strict=True):
+        rows, nodes = noise.rows, logs.argmax(axis=0)
+        white = noise(noise.data(likelihood.data[rows])[:, None] - readings.T[rows])
+        units = noise(np.eye(len(rows)))
+        taken = growth.directions(units, np.zeros(len(rows)))
+        along = growth.directions(white, np.ones(len(each)))[nodes, :, each]
+        scores[rows] = units.T @ white - np.einsum("sgn,sg->ns", taken[nodes], along)
         less = np.square(taken).sum(axis=1)[nodes].T
-        values = np.flatnonzero(sides(likelihood.test)[noise.rows] == 0.0)
-        root = noise.white(every)[np.ix_(values, values)]
-        parts.append(Part(
-            noise.rows, units.T @ white - np.einsum("sgn,sg->ns", taken[nodes], along),
-            np.diag(whole)[:, None] - less, whole - likeliest.T @ likeliest, squares,
-            noise.freedom - growth.free,
-            not any(likelihood.test.series[i].sd_fitted for i in numbers),
-            -2.0 * float(np.linalg.slogdet(root)[1]) if len(values) else 0.0,
-        ))  # fmt: skip
-    return parts
+        diagonal[rows] = np.square(units).sum(axis=0)[:, None] - less
+        likeliest = taken[np.logaddexp.reduce(logs, axis=1).argmax()]
+        precision[np.ix_(rows, rows)] = units.T @ units - likeliest.T @ likeliest
+        squares.append(growth.squares(white)[nodes, each])
+    return Explained(scores, diagonal, precision, np.array(squares))
 
 
-def noisy(likelihood: TestLikelihood, white: FloatArray) -> FloatArray:
-    """Return noise (n, ...) of a test's instruments by white noise."""
-    rows, start, test = np.empty_like(white), 0, likelihood.test
+def noise_root(likelihood: TestLikelihood) -> FloatArray:
+    """Return L (n, n) whose L L' is the covariance of the noise of a test's instruments."""
+    root, start, test = np.eye(likelihood.test.n), 0, likelihood.test
     for series in test.series:
         part = slice(start, start + series.n)
-        rows[part] = (coloured(series, white[part]).T * likelihood.setting.sd[part]).T
+        root[part] = coloured(series, root[part])
         start += series.n
-    return rows
+    return likelihood.setting.sd[:, None] * root
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +78,7 @@ class FittedTest:
     data: FloatArray
     #: noise: as given, or as fitted
     sd: FloatArray
-    #: of the mode, without and with nuisances and random wear
-    pure: FloatArray
+    #: of the mode, with nuisances and random wear
     model: FloatArray
     #: sd of the model's readings among the draws
     band: FloatArray
@@ -99,20 +89,11 @@ class FittedTest:
     #: (n, bodies) mm, depth worn by chance beyond that of the law, and its sd
     excess: FloatArray
     excess_sd: FloatArray
-    #: (n, bodies) mm, mean depth by the law
-    depths: FloatArray
-    #: sums of squares, with random wear and priors', at the mode and at the draws (s,), and their
-    #: degrees of freedom
-    squares: float
-    drawn_squares: FloatArray
-    freedom: float
-    #: the latter two of readings whose noise is given
-    tested_squares: FloatArray
-    tested_freedom: float
-    #: -2 log p of all readings at the mode, priors' squares included
-    deviance: float
-    #: number of nuisances and fitted noises
-    n_fitted: int
+    #: (parts, 1 + s) sums of squares, with random wear and priors', at the mode and at draws
+    squares: FloatArray
+    #: (parts,) their degrees of freedom, and whether the sd of all their readings is given
+    freedom: FloatArray
+    given: BoolArray
     #: draws (s,) of nuisances by number of the series and kind, see ``nuisance_draws``
     nuisances: dict[tuple[int, str], FloatArray]
     growth_times: dict[int, FloatArray]
@@ -140,54 +121,47 @@ def fitted_test(
     x : (s, m) of draws.
     depths : (bodies,) mm, see ``Solution``.
     """
-    likelihood, n = emulated.likelihood, emulated.likelihood.test.n
-    test, setting, side = likelihood.test, likelihood.setting, sides(likelihood.test)
+    likelihood, test = emulated.likelihood, emulated.likelihood.test
     at_best, readings = emulated.emulator(best[None]), emulated.emulator(x)
+    side, root = sides(test), noise_root(likelihood)
+    found = explained(likelihood, np.concatenate([at_best, readings]))
+    noise = root @ (root.T @ found.scores)
+    known = ((root @ (np.eye(test.n) - root.T @ found.precision @ root)) * root).sum(axis=1)
     added, values, times = likelihood.nuisance_draws(readings, random)
-    model = (at_best + likelihood.nuisance_draws(at_best)[0])[0]
-    band = (readings + added).std(axis=0)
-    noise, excess, excess_sd = noisy(likelihood, np.eye(n)), *np.zeros((2, n, len(depths)))
-    squares, freedom, tested_freedom = 0.0, 0.0, 0.0
-    drawn, tested = np.zeros((2, len(x)))
-    deviance = -2.0 * float(likelihood.of_limits(at_best[:, likelihood.limits])[0])
-    for mode, others in zip(
-        parts_at(likelihood, at_best), parts_at(likelihood, readings), strict=True
-    ):
-        own, known = noise[np.ix_(mode.rows, mode.rows)], side[mode.rows] == 0.0
-        rest = own @ (own.T @ np.concatenate([mode.scores, others.scores], axis=1))
-        left = np.eye(len(own)) - own.T @ mode.precision @ own
-        variance = ((own @ left) * own).sum(axis=1) + rest[:, 1:].var(axis=1)
-        rows = mode.rows[known]
-        model[rows] = likelihood.data[rows] - rest[known, 0]
-        band[rows] = np.sqrt(np.maximum(variance[known], 0.0))
-        for body, (slope, depth) in enumerate(setting.clocks):
-            root = likelihood.shares[body] * brownian_root(depth)
-            felt = slope[:, None] * root
-            left = np.eye(n) - felt.T @ mode.precision @ felt
-            variance = ((root @ left) * root).sum(axis=1)
-            excess[:, body] = depths[body] * root @ (felt.T @ mode.scores[:, 0])
-            excess_sd[:, body] = depths[body] * np.sqrt(np.maximum(variance, 0.0))
-        deviance += float(mode.squares[0]) + mode.log_volume + len(rows) * np.log(2.0 * np.pi)
-        squares, freedom = squares + float(mode.squares[0]), freedom + mode.freedom
-        drawn += others.squares
-        if mode.given:
-            tested, tested_freedom = tested + others.squares, tested_freedom + mode.freedom
-    sd = setting.sd.copy()
-    residuals = (likelihood.data - model) / sd
-    fitted = FittedTest(
-        test, likelihood.data, sd, at_best[0], model, band, residuals, side, excess, excess_sd,
-        depths * np.array([depth for _, depth in setting.clocks]).reshape(len(depths), n).T,
-        squares, drawn, freedom, tested, tested_freedom, deviance,
-        len(values) + len(times) + sum(series.sd_fitted for series in test.series), values, times,
+    of_limits = at_best[0] + likelihood.nuisance_draws(at_best)[0][0]
+    model = np.where(side == 0.0, likelihood.data - noise[:, 0], of_limits)
+    spread = np.maximum(known + noise[:, 1:].var(axis=1), 0.0)
+    band = np.sqrt(np.where(side == 0.0, spread, (readings + added).var(axis=0)))
+    excess, excess_sd = np.zeros((2, test.n, len(depths)))
+    for body, (slope, depth) in enumerate(likelihood.setting.clocks):
+        wear = likelihood.shares[body] * depths[body] * brownian_root(depth)
+        felt = slope[:, None] * wear / depths[body]
+        excess[:, body] = wear @ (felt.T @ found.scores[:, 0])
+        left = np.eye(test.n) - felt.T @ found.precision @ felt
+        excess_sd[:, body] = np.sqrt(np.maximum(((wear @ left) * wear).sum(axis=1), 0.0))
+    freedom = [noise.freedom - growth.free for noise, growth in likelihood.noises]
+    given = [not any(test.series[i].sd_fitted for i in part) for part in likelihood.parts]
+    sd, residuals = _residuals(likelihood, model)
+    return FittedTest(
+        test, likelihood.data, sd, model, band, residuals, side, excess, excess_sd, found.squares,
+        np.array(freedom), np.array(given), values, times,
     )  # fmt: skip
-    for series, part in fitted.records:
+
+
+def _residuals(likelihood: TestLikelihood, model: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the noise (n,) of readings, and data less model over it, white."""
+    sd, start = likelihood.setting.sd.copy(), 0
+    off = likelihood.data - model
+    for series in likelihood.test.series:
+        part = slice(start, start + series.n)
+        start += series.n
         # the loss "student" has made the sd of outliers larger
         scale = float((sd[part] / series.sd).min()) if series.sd_fitted else 1.0
         sd[part] = scale * series.sd
-        residuals[part] = (likelihood.data - model)[part] / sd[part]
-        if not side[part].any():
-            residuals[part] = whitened(series, residuals[part])
-    return fitted
+        off[part] /= sd[part]
+        if series.censored is None:
+            off[part] = whitened(series, off[part])
+    return sd, off
 
 
 def readings_of_draws(
@@ -197,82 +171,75 @@ def readings_of_draws(
 
     By unknowns (s, m) of draws.
     """
-    likelihood = emulated.likelihood
-    readings, side = emulated.emulator(x), sides(likelihood.test)
-    logs, limits = np.zeros_like(readings), likelihood.limits
-    expected = readings + likelihood.setting.expected
-    replicas = expected + noisy(likelihood, random.standard_normal(readings.shape[::-1])).T
-    for part in parts_at(likelihood, readings):
-        rows, values = part.rows, side[part.rows] == 0.0
-        own = noisy(likelihood, np.eye(len(side)))[np.ix_(rows, rows)]
-        information, scores = part.information[values], part.scores[values]
-        there = 0.5 * (np.log(information / (2.0 * np.pi)) - scores**2 / information)
-        logs[:, rows[values]] = there.T
-        root = np.linalg.cholesky(2.0 * np.eye(len(own)) - own.T @ part.precision @ own)
-        white = root @ random.standard_normal(part.scores.shape) - own.T @ part.scores
-        replica = likelihood.data[rows, None] + own @ white
-        replicas[:, rows[values]] = replica[values].T
+    likelihood, readings = emulated.likelihood, emulated.emulator(x)
+    side, root = sides(likelihood.test), noise_root(likelihood)
+    values, limits = np.flatnonzero(side == 0.0), likelihood.limits
+    found = explained(likelihood, readings)
+    scores, diagonal = found.scores[values], found.diagonal[values]
+    logs = np.zeros_like(readings)
+    logs[:, values] = 0.5 * (np.log(diagonal / (2.0 * np.pi)) - scores**2 / diagonal).T
+    noise = random.standard_normal(readings.T.shape)
+    spread = np.linalg.cholesky(2.0 * np.eye(len(side)) - root.T @ found.precision @ root)
+    replicas = (likelihood.data[:, None] + root @ (spread @ noise - root.T @ found.scores)).T
     if len(limits):
-        off = (expected - likelihood.data)[:, limits] / likelihood.setting.sd[limits]
+        expected = (readings + likelihood.setting.expected)[:, limits]
+        replicas[:, limits] = expected + (root @ noise).T[:, limits]
+        off = (expected - likelihood.data[limits]) / likelihood.setting.sd[limits]
         logs[:, limits] = log_ndtr(side[limits] * off)
     return logs, replicas
 
 
-class LocalSquares(NamedTuple):
-    """log p (s,) of a test, its slopes (s, q) and minus its curvatures (s, q, q)."""
-
-    log_p: FloatArray
-    score: FloatArray
-    information: FloatArray
-
-
-def local_squares(
-    emulated: EmulatedLikelihood,
-    x: FloatArray,
-    shares: FloatArray,
-    of: Sequence[int],
-    sd: FloatArray,
-) -> LocalSquares:
-    """Return log p of a test as a quadratic form of some unknowns about x (s, m), by differences.
+def scores_and_information(
+    emulated: EmulatedLikelihood, x: FloatArray, shares: FloatArray, sd: FloatArray
+) -> FloatArray:
+    """Return slopes of log p of a test by each unknown, and minus its curvatures, (2, m).
 
     Parameters
     ----------
+    x : (m,) unknowns.
+    shares : (bodies,) of random wear.
+    sd : (m,) of the unknowns.
+    """
+    m, step = len(x), _STEP * np.where(sd > 0.0, sd, 1e-6)
+    points = x + np.concatenate([np.zeros((1, m)), np.diag(step), -np.diag(step)])
+    coordinates = emulated.emulator.coordinates(points)
+    middle, up, down = np.split(
+        emulated(coordinates, np.tile(shares, (len(points), 1))), [1, m + 1]
+    )
+    return np.array([(up - down) / (2.0 * step), (2.0 * middle - up - down) / step**2])
+
+
+def log_p_of_tests(
+    posterior: Posterior, x: FloatArray, material: FloatArray, sd: FloatArray, shares: FloatArray
+) -> FloatArray:
+    """Return log p (s, tests) of the readings of each test, whatever its own values are.
+
+    The likelihood is averaged over values that the next specimen may have, drawn about those of
+    each draw by what the keys that do not scatter leave open.
+
+    Parameters
+    ----------
+    x : (s, tests, m) unknowns of draws; material: (s, m) of the material.
+    sd : (s, m) between specimens; 0 of keys that do not scatter.
     shares : (s, bodies) of random wear.
-    of : numbers of the q unknowns.
-    sd : (q,) of them, given the others.
     """
-    q, step = len(of), _STEP * np.where(sd > 0.0, sd, 1e-6)
-
-    def at(*moves: tuple[int, float]) -> FloatArray:
-        moved = x.copy()
-        for a, sign in moves:
-            moved[:, of[a]] += sign * step[a]
-        return emulated(emulated.emulator.coordinates(moved), shares)
-
-    middle = at()
-    up, down = (np.array([at((a, sign)) for a in range(q)]).T for sign in (1.0, -1.0))
-    information = np.zeros((len(x), q, q))
-    for a in range(q):
-        information[:, a, a] = 2.0 * middle - up[:, a] - down[:, a]
-        for b in range(a):
-            both = up[:, a] + up[:, b] - middle - at((a, 1.0), (b, 1.0))
-            information[:, a, b] = information[:, b, a] = both
-    return LocalSquares(middle, (up - down) / (2.0 * step), information / np.outer(step, step))
-
-
-def marginal_log_p(squares: LocalSquares, off: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return log p (s,) of a test whose own unknowns (s, q) are normal, integrated out.
-
-    Parameters
-    ----------
-    off : (s, q) means of the unknowns less where the squares are.
-    variances : (s, q) of the unknowns about them.
-    """
-    information = squares.information
-    log_p = squares.log_p + np.einsum("si,si->s", squares.score, off)
-    log_p -= 0.5 * np.einsum("si,sij,sj->s", off, information, off)
-    slope = squares.score - np.einsum("sij,sj->si", information, off)
-    system = np.eye(off.shape[1]) + information * variances[:, None, :]
-    gain = np.linalg.solve(system, slope[:, :, None])[:, :, 0] * variances
-    logs: FloatArray = log_p + 0.5 * np.einsum("si,si->s", slope, gain)
-    return logs - 0.5 * np.linalg.slogdet(system)[1]
+    keys = [s.key for s in posterior.scatterings]
+    normal = norm.ppf(qmc.Sobol(len(keys), seed=0).random(_SPECIMENS))
+    logs = np.empty((len(x), len(posterior.likelihoods)))
+    for i, emulated in enumerate(posterior.likelihoods):
+        own, others = x[:, i, keys], np.delete(x[:, i], keys, axis=1)
+        others = np.column_stack([np.ones(len(x)), others])
+        centre = others @ np.linalg.lstsq(others, own, rcond=None)[0]
+        root = _WIDER * np.linalg.cholesky(np.atleast_2d(np.cov((own - centre).T)))
+        volume = float(np.log(np.diag(root)).sum())
+        each = []
+        for z in normal:
+            points = x[:, i].copy()
+            points[:, keys] += root @ z
+            off = (points - material)[:, keys] / sd[:, keys]
+            prior = -0.5 * np.square(off).sum(axis=1) - np.log(sd[:, keys]).sum(axis=1)
+            log_p = emulated(emulated.emulator.coordinates(points), shares)
+            log_p = np.where(emulated.emulator.holds(points), log_p, -np.inf)
+            each.append(log_p + prior + 0.5 * float(z @ z) + volume)
+        logs[:, i] = np.logaddexp.reduce(each, axis=0) - np.log(_SPECIMENS)
+    return logs

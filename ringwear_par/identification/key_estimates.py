@@ -10,7 +10,14 @@ from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import FittedParameter, Problem, reflected
+from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    FittedParameter,
+    Problem,
+    reflected,
+)
+from ringwear_par.identification.fit_numbers import in_users_unit, specific_wear_rate
+from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
 
@@ -19,8 +26,12 @@ Verdict = Literal["identified", "at bound", "not identified"]
 _AT_BOUND = 0.25
 #: parts of an interval of 95 %, in which densities are counted
 _WINDOWS = 20
+#: correlation of two keys above which a bound of one is what the other is known by
+_CONDITIONAL = 0.87
+#: fewest readings of a record
+_SEVERAL = 5
 #: share of the prior's sd above which an sd says hardly more
-_VAGUE = 0.5
+VAGUE = 0.5
 #: share of the largest component of a direction above which keys are mentioned
 _MENTIONED = 0.15
 #: correlation of a vague key with a nuisance that is to blame
@@ -64,7 +75,7 @@ def judged(
     ends = np.quantile(draws, [2.0 * tail, 1.0 - 2.0 * tail] if one else [tail, 1.0 - tail])
     low_end, high_end = ends.tolist()
     interval = [None if at_low else low_end, None if at_high else high_end]
-    if (at_low and at_high) or draws.std() > _VAGUE * prior_sd:
+    if (at_low and at_high) or draws.std() > VAGUE * prior_sd:
         return "not identified", interval
     return "at bound" if one else "identified", interval
 
@@ -119,6 +130,18 @@ def key_entries(
         if j in scatterings:
             own = float(np.median(own_sds[:, j]))
             entry.update(_scatter(solution, scatterings[j], parameter, material[:, j], own))
+    values = np.where([p.log for p in problem.parameters], np.exp(material), material)
+    tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
+    for row, parameter in zip(tied, problem.parameters, strict=True):
+        entry, case = entries[parameter.key], problem.experiments[0].case
+        others = [key for key, known_by in zip(problem.keys, row, strict=True) if known_by]
+        bounded = [key for key in others if entries[key]["verdict"] == "at bound"]
+        if entry["verdict"] == "identified" and bounded:
+            entry["conditional_on"] = bounded
+        if (told := in_users_unit(parameter, entry, case)) is not None:
+            entry["told"] = told
+        if (rate := specific_wear_rate(problem, parameter.key, entries, values)) is not None:
+            entry["specific_wear_rate"] = rate
     return entries
 
 
@@ -127,49 +150,48 @@ def _scatter(
 ) -> dict[str, Any]:
     """Return what fit.json tells of a key that scatters, by the unknown of the material (s,)."""
     theta, problem = solution.theta, solution.problem
-    level, tests = problem.settings.level, problem.experiments
+    tests, level = problem.experiments, problem.settings.level
     assert parameter.scatter is not None
-    bounds = tuple(map(parameter.unknown, parameter.bounds))
-    entry: dict[str, Any] = {"of": "material", "scatter": {}}
-    squares: dict[str, FloatArray] = {}
-    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
-    for number, name in enumerate(s.levels):
-        sizes = s.size(theta, number)
-        groups = int(np.unique(s.same[number], axis=0).shape[0])
+    sizes = {name: s.size(theta, number) for number, name in enumerate(s.levels)}
+    scatter: dict[str, dict[str, Any]] = {}
+    for number, (name, size) in enumerate(sizes.items()):
         if s.sizes[number] is None:
-            found: dict[str, Any] = {"known": s.known[number], "groups": groups}
+            scatter[name] = {"known": s.known[number]}
         else:
-            verdict, _ = judged(sizes, 0.0, np.inf, parameter.scatter.scale, level)
-            found = {"estimate": float(np.median(sizes)), "verdict": verdict, "groups": groups,
-                     "interval": np.quantile(sizes, tails).tolist()}  # fmt: skip
-        entry["scatter"][name] = found
-        squares[name] = sizes**2
+            verdict, _ = judged(size, 0.0, np.inf, parameter.scatter.scale, level)
+            scatter[name] = {**_quantiles(size, level), "verdict": verdict}
+        scatter[name]["groups"] = int(np.unique(s.same[number], axis=0).shape[0])
     spread = s.spread(theta)
+    following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
+    bounds = map(np.array, map(parameter.unknown, parameter.bounds))
+    following = _quantiles(reflected(following, *bounds), level, parameter)["interval"]
+    entry: dict[str, Any] = {"of": "material", "scatter": scatter, "next": following, "each": {}}
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
-    following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
-    ends = np.quantile(reflected(following, *map(np.array, bounds)), tails)
-    entry["next"] = [parameter.value(end) for end in ends.tolist()]
     total = float(np.median(spread))
-    if "specimen" in squares:
-        size = float(np.sqrt(np.median(squares["specimen"])))
-        entry["repeatability"] = {"s_r": size, "r": 2.8 * size}
-    if len(squares) > ("specimen" in squares):
+    if "specimen" in sizes:
+        s_r = float(np.median(sizes["specimen"]))
+        entry["repeatability"] = {"s_r": s_r, "r": 2.8 * s_r}
+    if len(sizes) > ("specimen" in sizes):
         entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
-    finest = min(s.levels, key=("specimen", "batch", "lab").index)
-    place = ("specimen", "batch", "lab").index(finest)
-    entry["each"] = {}
+    place = min(map(GROUPS.index, s.levels))
     for number, values in enumerate(theta[:, s.places].T):
         name = tests[int(np.argmax(s.group == number))].groups[place]
-        ends = np.quantile(values, tails)
-        entry["each"][name] = {
-            "estimate": parameter.value(float(np.median(values))),
-            "sd": float((np.exp(values) if parameter.log else values).std()),
-            "interval": [parameter.value(end) for end in ends.tolist()],
-        }
+        sd = float((np.exp(values) if parameter.log else values).std())
+        entry["each"][name] = {**_quantiles(values, level, parameter), "sd": sd}
     wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
     entry["specimens_for_10_percent"] = _specimens(wanted, math.hypot(total, own), level)
     return entry
+
+
+def _quantiles(
+    draws: FloatArray, level: float, parameter: FittedParameter | None = None
+) -> dict[str, Any]:
+    """Return the median of draws (s,), those of unknowns as values, and their interval."""
+    tail = 0.5 * (1.0 - level)
+    found = np.quantile(draws, [tail, 0.5, 1.0 - tail]).tolist()
+    low, median, high = found if parameter is None else map(parameter.value, found)
+    return {"estimate": median, "interval": [low, high]}
 
 
 def _specimens(wanted: float, sd: float, level: float) -> int | None:
@@ -184,26 +206,41 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     entries, posterior = {}, solution.posterior
     level = solution.problem.settings.level
     shares = posterior.shares(solution.theta, posterior.known)
-    tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
     for body, (key, process) in enumerate(solution.problem.settings.process.items()):
         share, depth = shares[:, body], float(solution.depths[body])
+        between = _between_readings(posterior.likelihoods, body)
+        entry: dict[str, Any] = {
+            "depth": depth, "verdict": "identified",
+            "between_readings": None if between is None else between * depth,
+        }  # fmt: skip
+        entries[key] = entry
         if not process.fitted:
             known = float(share[0])
             size = process.size or known**2 * depth
-            entries[key] = {"size": {"known": size}, "share": {"known": known},
-                            "depth": depth, "verdict": "identified"}  # fmt: skip
+            entry |= {"size": {"known": size}, "share": {"known": known}}
             continue
-        low, high = np.quantile(share, tails).tolist()
-        before = student_t.ppf(0.5 + 0.5 * np.array(tails), 4)
-        narrow = math.log(high / low) < _VAGUE * math.log(before[1] / before[0])
-        middle = float(np.median(share))
-        entries[key] = {
-            "size": {"estimate": middle**2 * depth, "interval": [low**2 * depth, high**2 * depth]},
-            "share": {"estimate": middle, "interval": [low, high]},
-            "depth": depth,
-            "verdict": "identified" if narrow else "not identified",
-        }
+        found = _quantiles(share, level)
+        low, high = found["interval"]
+        before = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)
+        if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
+            entry["verdict"] = "not identified"
+        entry |= {"size": _quantiles(share**2 * depth, level), "share": found}
+        if between is not None and entry["size"]["estimate"] > between * depth:  # not normal
+            entry["size"]["interval"] = entry["share"]["interval"] = [None, None]
     return entries
+
+
+def _between_readings(likelihoods: Sequence[EmulatedLikelihood], body: int) -> float | None:
+    """Return the median depth worn between two readings of records, over the largest of all."""
+    steps = []
+    for likelihood in (one.likelihood for one in likelihoods):
+        records, depth = likelihood.test.series, likelihood.setting.clocks[body][1]
+        parts = np.split(depth, np.cumsum([series.n for series in records])[:-1])
+        steps += [
+            np.diff(np.unique(part)) for series, part in zip(records, parts, strict=True)
+            if series.n > _SEVERAL and not series.profile
+        ]  # fmt: skip
+    return float(np.median(np.concatenate(steps))) if steps else None
 
 
 def direction(
@@ -219,33 +256,18 @@ def direction(
     parameters = problem.parameters
     size = np.array([prior_sd(p) for p in parameters])
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    weakest = values[np.argmax(vectors[j] ** 2 * values)]
-    part = vectors[:, values > _VAGUE**2 * weakest]
-    weak = part @ part.T
-    taking = np.flatnonzero(np.abs(weak[j]) > _MENTIONED * np.abs(weak[j]).max()).tolist()
+    weak = vectors[:, np.argmax(vectors[j] ** 2 * values)]
+    taking = np.flatnonzero(np.abs(weak) > _MENTIONED * np.abs(weak).max()).tolist()
     others = [parameters[i].key for i in taking if i != j]
+    if len(taking) == 2 and others and all(parameters[i].log for i in taking):
+        (first, one), (second, two) = sorted((parameters[i].key, weak[i] * size[i]) for i in taking)
+        # of the product whose logarithm does not change along the weak direction
+        power = -one / two
+        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
+        return f"only {first} {'x' if power > 0 else '/'} {second}{exponent} is known"
     if nuisances:
         name = max(nuisances, key=lambda name: abs(nuisances[name]))
         others += [name] * (abs(nuisances[name]) > _TOGETHER)
     if not others:
         return f"the readings hardly respond to {parameters[j].key}"
-    if len(others) < len(taking) and all(parameters[i].log for i in taking):
-        within, axes = np.linalg.eigh(weak[np.ix_(taking, taking)])
-        strong = axes[:, within < 0.5]
-        if strong.shape[1] == 1:
-            powers = strong[:, 0] / size[taking]
-            return f"only {_product([parameters[i].key for i in taking], powers)} is known"
-        return f"only products of {', '.join(sorted(parameters[i].key for i in taking))} are known"
-    listed = [", ".join(others[:-1]), others[-1]] if others[1:] else others
-    return f"{parameters[j].key} against {' and '.join(listed)}"
-
-
-def _product(keys: Sequence[str], powers: FloatArray) -> str:
-    """Return the product of powers of keys, that of the first by name being 1."""
-    named = sorted(zip(keys, powers.tolist(), strict=True))
-    words = [named[0][0]]
-    for name, power in named[1:]:
-        power /= named[0][1]
-        exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
-        words.append(f"{'x' if power > 0 else '/'} {name}{exponent}")
-    return " ".join(words)
+    return f"{parameters[j].key} against {' and '.join(others)}"

@@ -1,6 +1,7 @@
 """Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -8,10 +9,11 @@ from scipy.stats import qmc
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.identification.definition.problem import Experiment, Nuisance, Problem, Series
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Problem, Series
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.histories import HistoryError, Readings, cases_at
-from ringwear_par.identification.readings import growth, nuisance_columns
+from ringwear_par.identification.likelihood import Noise, Setting
+from ringwear_par.identification.readings import growth
 
 #: number of blocks of a record, and fewest readings, less nuisances, that it needs
 _BLOCKS, _ENOUGH = 10, 30
@@ -27,9 +29,7 @@ _OPPOSITE, _SURE = -0.5, 5.0
 #: change of the model, in sd, below which it has no sign
 _SEEN = 0.1
 #: nuisances that leave the sign of a record as it is
-_HARMLESS = ("offset", "level", "tilt", "thermal")
-#: parts of a record at its ends that are compared with the model's sign grow by 1 / this of it
-_PARTS = 40
+_HARMLESS = ("offset", "level", "tilt", "thermal", GROWTH_TIME)
 
 
 def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> float:
@@ -63,28 +63,43 @@ def refuse_unfit(readings: Readings) -> None:
     """
     problem = readings.problem
     start = problem.unknowns([*problem.start.values()])
-    points = case_points(problem)
-    every = np.tile(start, (len(problem.experiments), 1))
-    models, slopes = readings.jacobians(every)
-    faults = _without_response(problem, slopes)
+    points = _case_points(problem)
+    models, slopes = readings.jacobians(np.tile(start, (len(problem.experiments), 1)))
+    values = ", ".join(f"{key} = {value:g}" for key, value in problem.start.items())
+    faults = []
+    low, high = problem.unknown_bounds
+    for i, test in enumerate(problem.experiments):
+        for number, series, rows in _records(test):
+            where = f'{problem.name}: experiment "{legible(test.name)}": {series.name}: '
+            only_limits = series.censored is not None and series.censored.all()
+            change = slopes[i][rows] * (high - low) / series.sd[:, None]
+            if not only_limits and np.linalg.norm(change) < _NO_RESPONSE:
+                faults.append(
+                    f"{where}does not respond to any parameter at the start ({values}); must "
+                    "respond to at least one"
+                )
+            if _is_reversed(test, number, models[i][rows]):
+                faults.append(
+                    f"{where}has the wrong sign: readings fall where the model rises; must be "
+                    "positive where material is lost"
+                )
     felt = _felt(problem, slopes)
     for point in points:
         if felt.all():
             break
-        felt |= _felt(problem, readings.jacobians(np.tile(point, (len(every), 1)))[1])
+        everywhere = np.tile(point, (len(problem.experiments), 1))
+        felt |= _felt(problem, readings.jacobians(everywhere)[1])
     faults += [
-        f"{problem.name}: no readings respond to {parameter.key}, at the start "
-        f"({_start_values(problem)}) or anywhere within its bounds; some must: is a threshold "
-        "(p0) above all pressures?"
+        f"{problem.name}: no readings respond to {parameter.key}, at the start ({values}) or "
+        "anywhere within its bounds; some must: is a threshold (p0) above all pressures?"
         for parameter, responds in zip(problem.parameters, felt.tolist(), strict=True)
         if not responds and parameter.prior is None
     ]
-    faults += _reversed(problem, models)
     if faults:
         raise InputError(*faults)
 
 
-def case_points(problem: Problem) -> FloatArray:
+def _case_points(problem: Problem) -> FloatArray:
     """Return Sobol' points (p, m) within the bounds of the unknowns, that are cases.
 
     InputError where hardly any is one, for a law has rules for its numbers together.
@@ -106,27 +121,19 @@ def case_points(problem: Problem) -> FloatArray:
     return drawn[good][:_POINTS]
 
 
-def _records(problem: Problem) -> list[tuple[int, Experiment, Series, slice]]:
-    """Return the number of each test, the test, its series, and where its readings are."""
-    records = []
-    for number, test in enumerate(problem.experiments):
-        start = 0
-        for series in test.series:
-            records.append((number, test, series, slice(start, start + series.n)))
-            start += series.n
-    return records
+def _records(test: Experiment) -> Iterator[tuple[int, Series, slice]]:
+    """Yield the number of each series of a test, the series, and where its readings are."""
+    start = 0
+    for number, series in enumerate(test.series):
+        yield number, series, slice(start, start + series.n)
+        start += series.n
 
 
-def _without_response(problem: Problem, slopes: Sequence[FloatArray]) -> list[str]:
-    """Return faults of series that respond to no key at the start."""
-    low, high = problem.unknown_bounds
-    return [
-        f'{problem.name}: experiment "{legible(test.name)}": {series.name}: does not respond to '
-        f"any parameter at the start ({_start_values(problem)}); must respond to at least one"
-        for number, test, series, rows in _records(problem)
-        if not (series.censored is not None and series.censored.all())
-        and np.linalg.norm(slopes[number][rows] * (high - low) / series.sd[:, None]) < _NO_RESPONSE
-    ]
+def _noise(test: Experiment, numbers: Sequence[int]) -> Noise:
+    """Return the noise of some series of a test, limits as if they were readings."""
+    every = tuple(replace(series, censored=None) for series in test.series)
+    test = replace(test, series=every)
+    return Noise(test, numbers, Setting.before(test, "normal", 0), np.zeros(0))
 
 
 def _felt(problem: Problem, slopes: Sequence[FloatArray]) -> BoolArray:
@@ -136,98 +143,44 @@ def _felt(problem: Problem, slopes: Sequence[FloatArray]) -> BoolArray:
     """
     low, high = problem.unknown_bounds
     reach = np.where([p.log for p in problem.parameters], 1.0, _WIDTHS * (high - low))
-    squares = np.zeros(len(low))
-    for number, test, series, rows in _records(problem):
-        columns = slopes[number][rows] / series.sd[:, None]
-        nuisances = nuisance_columns(series, test.case) / series.sd[:, None]
-        squares += np.square(_rest(nuisances, columns)).sum(axis=0)
-    felt: BoolArray = ~(np.sqrt(squares) * reach <= _NOT_FELT)
+    rows = [
+        _noise(test, range(len(test.series)))(slope)
+        for test, slope in zip(problem.experiments, slopes, strict=True)
+    ]
+    felt: BoolArray = ~(np.linalg.norm(np.concatenate(rows), axis=0) * reach <= _NOT_FELT)
     return felt
 
 
-def _rest(columns: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return rows (n, ...) less what columns (n, k) explain of them."""
-    if not columns.size:
-        return rows
-    basis, values, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, values > 1e-10 * values.max(initial=0.0)]
-    rest: FloatArray = rows - basis @ (basis.T @ rows)
-    return rest
+def _is_reversed(test: Experiment, number: int, model: FloatArray) -> bool:
+    """Tell whether a depth or mass goes against the model (n,), whatever its nuisances are.
 
-
-def _start_values(problem: Problem) -> str:
-    return ", ".join(f"{key} = {value:g}" for key, value in problem.start.items())
-
-
-def _reversed(problem: Problem, models: Sequence[FloatArray]) -> list[str]:
-    """Return faults of depths and masses that go against the model, but for their nuisances.
-
-    Those that do so only once a drift or a compliance is fitted too may be right but for a part,
-    of which a doubt tells; so may records that change as the model in total.
+    A record that does so only once a drift or a compliance is fitted too may be right but for a
+    part; so may one that changes as the model in total.
     """
-    faults = []
-    for number, test, series, rows in _records(problem):
-        model = models[number][rows]
-        if series.planned or not READING_KINDS[series.kind].of_wear or np.isnan(model).any():
-            continue
-        record = Record(test, series, model)
-        if not record.follows and record.opposes() and record.opposes(harmless=True):
-            faults.append(
-                f'{problem.name}: experiment "{legible(test.name)}": {series.name}: '
-                "has the wrong sign: readings fall where the model rises; must be positive where "
-                "material is lost"
-            )
-    return faults
+    series = test.series[number]
+    if series.planned or not READING_KINDS[series.kind].of_wear or np.isnan(model).any():
+        return False
+    total = (series.value[-1] - series.value[0]) * (model[-1] - model[0])
+    if not series.profile and total > 0.0:
+        return False
+    few = tuple(n for n in series.nuisances if n.kind in _HARMLESS)
+    return all(
+        _opposes(replace(test, series=(replace(series, nuisances=nuisances),)), model)
+        for nuisances in (series.nuisances, few)
+    )
 
 
-class Record:
-    """Readings (n,) of a series and the model's without nuisances, over their noise."""
-
-    def __init__(self, experiment: Experiment, series: Series, model: FloatArray) -> None:
-        self._series, sd = series, series.sd
-        self._nuisances = [*series.linear_nuisances]
-        columns = [*nuisance_columns(series, experiment.case).T]
-        time = series.growth_time
-        if time is not None:  # growth with any of some time constants
-            low, high = time.bounds
-            for constant in (time.start, low, 0.5 * (low + high), high):
-                if np.isfinite(constant) and constant > 0.0:
-                    grown = growth(time, experiment.case, series.x, constant)
-                    columns.append(series.factor * grown)
-                    self._nuisances.append(Nuisance("thermal"))
-        self._columns = np.array(columns).reshape(-1, series.n).T / sd[:, None]
-        self._both = np.stack([series.value, model], axis=1) / sd[:, None]
-
-    def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
-        """Tell whether readings fall where the model's rise, whatever the (harmless) nuisances."""
-        numbers = [i for i, n in enumerate(self._nuisances) if not harmless or n.kind in _HARMLESS]
-        columns, both = self._columns[rows, numbers], self._both[rows]
-        for column, i in enumerate(numbers):  # priors are one reading more, of the nuisance itself
-            prior = self._nuisances[i].prior
-            if prior is not None:
-                columns = np.vstack([columns, np.eye(len(numbers))[column] / prior.sd])
-                both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
-        both = _rest(columns, both)
-        (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
-        return bool(
-            data @ wear < _OPPOSITE * sizes.prod()
-            and -data @ wear > _SURE * sizes[1]
-            and sizes[1] > _SEEN
-        )
-
-    @property
-    def follows(self) -> bool:
-        """Whether readings in time change as the model does, in total."""
-        data, wear = self._both[-1] - self._both[0]
-        return not self._series.profile and data * wear > 0.0
-
-    @property
-    def exclude(self) -> tuple[float, float] | None:
-        """The shortest early or late part, s, without which readings do not oppose the model."""
-        x, n = self._series.x, self._series.n
-        for count in np.unique(np.arange(1, _PARTS // 2 + 1) * n // _PARTS).tolist():
-            if count and not self.opposes(slice(count, None)):
-                return 0.0, float(x[count - 1])
-            if count and not self.opposes(slice(0, n - count)):
-                return float(x[n - count]), float(x[-1])
-        return None
+def _opposes(test: Experiment, model: FloatArray) -> bool:
+    """Tell whether the readings of a test with one series fall where the model's (n,) rise."""
+    (series,), noise = test.series, _noise(test, (0,))
+    both = noise(np.column_stack([noise.data(series.value), model]))
+    if (time := series.growth_time) is not None:  # growth with any of some time constants
+        low, high = time.bounds
+        constants = [c for c in (time.start, low, 0.5 * (low + high), high) if 0.0 < c < np.inf]
+        grown = np.column_stack([growth(time, test.case, series.x, c) for c in constants])
+        basis, values, _ = np.linalg.svd(noise(grown), full_matrices=False)
+        basis = basis[:, values > 1e-10 * values.max(initial=0.0)]
+        both -= basis @ (basis.T @ both)
+    (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
+    along = float(data @ wear)
+    return bool(along < _OPPOSITE * sizes.prod() and -along > _SURE * sizes[1] and sizes[1] > _SEEN)

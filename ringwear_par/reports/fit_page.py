@@ -22,6 +22,8 @@ from ringwear_par.results.storage.hdf5 import reading
 from ringwear_par.results.variables import SOFTWARE
 
 _DASH = "\N{EN DASH}"
+#: units of nuisances, after that of their readings
+_PER = {"compliance": "/kN", "tilt": "/mm"}
 
 
 def fit_page(folder: Path) -> page.Page:
@@ -70,12 +72,11 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
     blocks = (
         page.Lines(_bands(level)),
         page.Charts(_series_charts(series)),
-        _cells("Series", summary.SERIES, summary.series_rows(outcome)),
+        _series(outcome),
     )
     sections.append(page.Section("Data, model and residuals", blocks))
     if inputs:
-        words = page.Lines([*map(with_signs, summary.input_lines(outcome))])
-        sections.append(page.Section("Measured inputs", [words, page.Charts(inputs)]))
+        sections.append(page.Section("Measured inputs", [_inputs(outcome), page.Charts(inputs)]))
     keys = [
         page.Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
         for i, row in enumerate(key_panels.fitted_keys(outcome, samples))
@@ -90,6 +91,46 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
         )
     sections.append(_reproduced(outcome, text))
     return sections
+
+
+def _series(outcome: Mapping[str, Any]) -> page.Table:
+    """Return the table of the series of all tests, with their nuisances."""
+    header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
+    rows = []
+    for test, of_test in outcome["experiments"].items():
+        for name, entry in of_test.items():
+            limits, unit = entry.get("censored", 0), entry["unit"]
+            notes = [counted(limits, "limit")] if limits else []
+            for kind, found in outcome["nuisance"].get(test, {}).get(name, {}).items():
+                note = f"{kind} {_with_sd(found, f' {unit}' + _PER.get(kind, ''))}"
+                note += f" in {_with_sd(found['time'], ' s')}" if "time" in found else ""
+                notes.append(note)
+            noise, chi2 = f"{entry.get('sd', 0.0):.3g}", f"{entry['chi2']:.4g}"
+            rows.append(
+                (f"{test}, {name}", str(entry["n"] - limits), chi2 * (limits < entry["n"]), unit,
+                 noise * ("sd" in entry), ", ".join(notes))
+            )  # fmt: skip
+    return _cells("Series", header, rows)
+
+
+def _with_sd(entry: Mapping[str, Any], unit: str = "") -> str:
+    """Return an estimate and its sd; None: the readings do not change it."""
+    if entry["sd"] is None:
+        return "not identified"
+    return f"{entry['estimate']:.4g}{unit} (u = {entry['sd']:.2g})"
+
+
+def _inputs(outcome: Mapping[str, Any]) -> page.Table:
+    """Return the table of the measured inputs and their curves."""
+    header = ("input", "readings", "curve from", "to", "unit", "readings off it, %", "scale")
+    rows = [
+        (f"{key} ({test})", str(entry["n"]), f"{min(entry['value']):.4g}",
+         f"{max(entry['value']):.4g}", entry["unit"], f"{100.0 * entry['scatter']:.2g}",
+         _with_sd(entry["scale"]) if "scale" in entry else "")
+        for test, inputs in outcome["inputs"].items()
+        for key, entry in inputs.items()
+    ]  # fmt: skip
+    return _cells("Readings and curves", header, rows)
 
 
 def _summary(outcome: Mapping[str, Any]) -> list[page.Block]:

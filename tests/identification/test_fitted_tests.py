@@ -1,16 +1,14 @@
 """What fits tell of readings and keys, against the likelihood itself and known distributions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import ringwear_par as rw
-from ringwear_par.identification.fitted_tests import (
-    LocalSquares,
-    marginal_log_p,
-    readings_of_draws,
-)
+from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
 from ringwear_par.identification.key_estimates import judged
 from ringwear_par.identification.likelihood import TestLikelihood
 
@@ -46,13 +44,20 @@ def test_replicas_are_about_as_far_off_as_the_readings(fitted):
 
 
 def test_a_value_of_a_specimen_is_integrated_out():
-    # log p = -(x - 1)^2 / (2 0.5^2) about x = 0, x normal about 0.3 with sd 2
-    about = LocalSquares(np.array([-2.0]), np.array([[4.0]]), np.array([[[4.0]]]))
-    x = np.linspace(-20.0, 20.0, 200_001)
-    logs = -2.0 * (x - 1.0) ** 2 - 0.5 * ((x - 0.3) / 2.0) ** 2
-    exact = np.log(np.trapz(np.exp(logs), x)) - np.log(2.0) - 0.5 * np.log(2.0 * np.pi)
-    found = marginal_log_p(about, np.array([[0.3]]), np.array([[4.0]]))
-    assert found == pytest.approx(exact, abs=1e-6)
+    """Log p = -(x - 1)^2 / (2 0.5^2) of a test, x normal about the material with sd 2."""
+    emulator = SimpleNamespace(coordinates=lambda x: x, holds=lambda x: np.ones(len(x), dtype=bool))
+
+    class Emulated:
+        def __call__(self, x, shares):
+            return -2.0 * (x[:, 0] - 1.0) ** 2
+
+    Emulated.emulator = emulator
+    posterior = SimpleNamespace(scatterings=[SimpleNamespace(key=0)], likelihoods=[Emulated()])
+    drawn = 1.0 + 0.5 * np.random.default_rng(0).standard_normal((1000, 1, 1))
+    material = np.linspace(-1.0, 3.0, 1000)[:, None]
+    found = log_p_of_tests(posterior, drawn, material, np.full((1000, 1), 2.0), np.zeros((1000, 0)))
+    exact = norm.logpdf(material, 1.0, np.hypot(0.5, 2.0)) + 0.5 * np.log(2.0 * np.pi * 0.25)
+    assert found == pytest.approx(exact, abs=0.05)
 
 
 def test_verdicts_follow_the_density_at_bounds():

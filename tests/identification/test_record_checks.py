@@ -55,23 +55,6 @@ def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path):
         check(tables)
 
 
-@pytest.mark.slow
-def test_a_part_that_opposes_the_model_is_a_doubt(good, tmp_path):
-    """Rings that grow warm: beside a drift, a fall at first is most of what is left of a rise."""
-    data = good["experiment"][0]["data"][0]
-    t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
-    write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z + 4.0 * np.exp(-t / 4.0))
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0]["nuisance"] = {"offset": {}, "drift": {}}
-    found = rw.fit(tables, MPI.COMM_SELF)
-    (doubt,) = (one for one in found.doubts if one.code == "readings-oppose")
-    ((first, last),) = doubt.values.values()
-    assert first == 0.0
-    assert 4.0 <= last <= 30.0
-    assert doubt.experiments == ("test 1",)
-    assert f"exclude = [[0, {last:g}]]" in doubt.text
-
-
 def test_trends_are_no_noise():
     random, x = np.random.default_rng(1), np.linspace(0.0, 1.0, 200)
     alarms = np.mean([trend(random.standard_normal(200)) < 0.05 for _ in range(1000)])
