@@ -18,7 +18,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
 from ringwear_par.identification.funnel import Funnel
-from ringwear_par.identification.histories import Readings
+from ringwear_par.identification.histories import HistoryError, Readings, cases_at
 from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
 from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
@@ -40,6 +40,8 @@ _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough, and that moves no key by more than
 #: 0.2 sd where steps are halved; share of draws at faces of boxes
 _RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
+#: share of the draws without a history that is small enough; draws of which none may be no case
+_LOST, _CHECKED = 0.03, 4000
 #: effective number of draws while emulators are checked, and at the end
 _SOME, _WANTED = 1000.0, 4000.0
 #: largest error of log p by the power, in rms
@@ -216,7 +218,8 @@ class _Search:
         self._margin = 2.0 * self._margin if at_faces >= _AT_FACES else _MARGIN
         if self._error > _ASTRAY:  # emulators know now what is there
             self.power, self._draws, self._density = self._before
-        if self._error >= _RIGHT or at_faces >= _AT_FACES:
+        lost = np.isnan(off.sum(axis=0)).mean()
+        if self._error >= _RIGHT or at_faces >= _AT_FACES or lost >= _LOST:
             return False
         readings = self.readings
         finer = readings([(i, tried.x[:, i]) for i in self._tests], steps=2 * readings.steps)
@@ -278,6 +281,8 @@ class _Search:
         """Return the draws, weighed by true histories where emulators cannot follow these."""
         weighed = "" if self.power == 1.0 and self._error < _RIGHT else self._weigh()
         readings, posterior = self.readings, self._posterior
+        if readings.failed:
+            self._keep_cases()
         evidence, evidence_error = log_evidence(posterior, self._draws)
         return Solution(
             readings.problem, posterior, self._draws, self.effective,
@@ -285,6 +290,18 @@ class _Search:
             np.zeros(len(self._layout.share_places)), self._error, self._step_error,
             readings.steps, readings.count, readings.failed, readings.reason, weighed,
         )  # fmt: skip
+
+    def _keep_cases(self) -> None:
+        """Keep only draws that the rules of cases and laws allow."""
+        problem, count = self.readings.problem, min(_CHECKED, len(self._draws))
+        rows = np.sort(self._random.choice(len(self._draws), count, replace=False))
+        good = np.ones(count, dtype=bool)
+        for i, test in enumerate(problem.experiments):
+            x = self._layout.of_tests(self._draws[rows])[:, i]
+            values = np.array([problem.values(row) for row in x])
+            found = cases_at(test.case, problem.keys, values)
+            good &= [not isinstance(case, HistoryError) for case in found]
+        self._draws, self._density = self._draws[rows[good]], self._density[rows[good]]
 
     def _weigh(self) -> str:
         """Weigh draws by true histories and say so, or ComputationError where few count."""
@@ -298,7 +315,9 @@ class _Search:
         weights = np.exp(logs - logsumexp(logs))
         self.effective = float(1.0 / (weights @ weights))
         table = np.column_stack([np.minimum(np.abs(logs), 1e3), x.mean(axis=1)])
-        key = problem.keys[int(np.nanargmax(np.abs(np.corrcoef(table.T)[0, 1:])))]
+        with np.errstate(divide="ignore", invalid="ignore"):  # where all are alike
+            along = np.nan_to_num(np.corrcoef(table.T)[0, 1:])
+        key = problem.keys[int(np.argmax(np.abs(along)))]
         sentence = (
             f"readings of {problem.experiments[self._worst].name} do not follow {key} smoothly: "
             f"draws were weighed by {_WEIGHED} histories, and are worth {self.effective:.0f}"

@@ -8,7 +8,11 @@ from ringwear_par.files.folders import refuse_others
 
 @pytest.mark.parametrize(
     ("name", "owner", "other"),
-    [("fit.json", "fit", "sweep"), ("progress", "fit", "predict"), ("cases.csv", "sweep", "fit")],
+    [
+        ("fit.json", "fit", "sweep"),
+        ("prediction.json", "predict", "fit"),
+        ("cases.csv", "sweep", "fit"),
+    ],
 )
 def test_outcomes_of_other_commands_are_not_replaced(tmp_path, name, owner, other):
     (tmp_path / name).write_text("")

@@ -91,7 +91,7 @@ def test_regions_without_histories_are_counted():
         return np.where(x[:, :1] > 1.02, np.nan, linear(x))
 
     found = solved(BOTH, only_some)
-    assert found.theta[:, 0].max() < 1.05
+    assert np.quantile(found.theta[:, 0], 0.99) < 1.04
     assert 0 < found.failed < found.histories
     with pytest.raises(rw.ComputationError, match="no history at any draw: no history there"):
         solved(BOTH, lambda x: np.full((len(x), 20), np.nan))
@@ -104,7 +104,7 @@ def test_readings_that_polynomials_cannot_follow_are_weighed_or_refused():
         return lambda x: linear(x) + size * np.sign(np.sin(300.0 * x[:, :1]))
 
     found = solved(BOTH, jumps(0.015))
-    assert "readings of T0 are no smooth functions of wear.lower." in found.weighed
+    assert "readings of T0 do not follow wear.lower." in found.weighed
     assert "weighed by 1000 histories" in found.weighed
     assert 100.0 < found.effective < 1000.0
     assert np.abs(found.theta.mean(axis=0) - TRUTH).max() < 0.15

