@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, Numbers
+from ringwear_par.arrays import FloatArray, IntArray
 
 #: share of a schedule's largest size within which a point on the line of its neighbours is no bend,
 #: see ``bends``
@@ -43,7 +43,7 @@ class Table:
 
     @cached_property
     def _areas(self) -> FloatArray:
-        x, y = np.array(self.x), np.array(self.y)
+        x, y = self._arrays
         return np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(x))])
 
     @overload
@@ -52,15 +52,11 @@ class Table:
     def integral(self, x: FloatArray) -> FloatArray: ...
     def integral(self, x: float | FloatArray) -> float | FloatArray:
         """Return the integral from the first x of the table."""
-        if isinstance(x, np.ndarray):
-            i = np.maximum(np.searchsorted(self.x, x, side="right") - 1, 0)
-            first, y = np.array(self.x)[i], np.array(self.y)[i]
-            inside = self._areas[i] + 0.5 * (y + self(x)) * (x - first)
-            return np.where(x <= self.x[0], self.y[0] * (x - self.x[0]), inside)
-        if x <= self.x[0]:
-            return self.y[0] * (x - self.x[0])
-        j = int(np.searchsorted(self.x, x, side="right")) - 1
-        return float(self._areas[j] + 0.5 * (self.y[j] + self(x)) * (x - self.x[j]))
+        at, (xs, ys) = np.asarray(x, dtype=float), self._arrays
+        i = np.maximum(np.searchsorted(xs, at, side="right") - 1, 0)
+        inside = self._areas[i] + 0.5 * (ys[i] + np.interp(at, xs, ys)) * (at - xs[i])
+        total = np.where(at <= xs[0], ys[0] * (at - xs[0]), inside)
+        return total if isinstance(x, np.ndarray) else float(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,22 +74,13 @@ class Stacked:
         tables = any(isinstance(q, Table) for q in self.quantities)
         return None if tables else np.array(self.quantities)
 
-    @cached_property
-    def _is_one(self) -> bool:
-        """Whether all histories share one table."""
-        return all(quantity is self.quantities[0] for quantity in self.quantities)
-
     def value(self, time: float | FloatArray, r: FloatArray | None) -> FloatArray:
         """Return (B,) values at times (B,); (B, 1) at a column, (B, n) where one is a profile."""
         column = np.ndim(time) > 1
         if self.numbers is not None:
             return self.numbers[:, None] if column else self.numbers
-        times = np.broadcast_to(np.ravel(time), len(self.quantities))
-        first = self.quantities[0]
-        if isinstance(first, Table) and first.axis == "t" and self._is_one:
-            at_once: FloatArray = first(times)
-            return at_once[:, None] if column else at_once
-        values = [value(q, t, r) for q, t in zip(self.quantities, times.tolist(), strict=True)]
+        times = np.broadcast_to(np.ravel(time), len(self.quantities)).tolist()
+        values = [value(q, t, r) for q, t in zip(self.quantities, times, strict=True)]
         return np.array(np.broadcast_arrays(*map(np.atleast_1d, values)) if column else values)
 
 
@@ -158,8 +145,7 @@ def mean(
 ) -> float | FloatArray:
     """Return the mean over an interval of time, (B,) up to (B,) ends; a number is its own."""
     if isinstance(quantity, Table):
-        whole: Numbers = quantity.integral(end) - quantity.integral(start)
-        return whole / (end - start)
+        return integral(quantity, start, end) / (end - start)  # type: ignore[arg-type]
     if isinstance(quantity, Stacked):
         return _of_each(mean, quantity, start, end)
     return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity
@@ -184,10 +170,8 @@ def _of_each(
     end: float | FloatArray,
 ) -> FloatArray:
     """Return (B,) what a function makes of each quantity between its own times."""
-    count = len(stacked.quantities)
-    starts, ends = (np.broadcast_to(t, count).tolist() for t in (start, end))
-    arguments = zip(stacked.quantities, starts, ends, strict=True)
-    return np.array([function(*values) for values in arguments])
+    starts, ends = (np.broadcast_to(t, len(stacked.quantities)).tolist() for t in (start, end))
+    return np.array([*map(function, stacked.quantities, starts, ends)])
 
 
 def largest(quantity: Quantity) -> float:

@@ -16,10 +16,10 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     reflected,
 )
-from ringwear_par.identification.fit_numbers import in_users_unit, specific_wear_rate
 from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
+from ringwear_par.identification.users_units import in_users_unit, specific_wear_rate
 
 Verdict = Literal["identified", "at bound", "not identified"]
 #: a key is at its bound where the density there is more than this share of the largest

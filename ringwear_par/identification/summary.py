@@ -117,7 +117,7 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     failed = [(name, law["error"]) for name, law in laws.items() if "error" in law]
     solved = {name: law for name, law in laws.items() if "error" not in law}
-    shares = probabilities({name: law["log_evidence"] for name, law in solved.items()})
+    shares = probabilities({name: law["evidence"] for name, law in solved.items()})
     best, rows = min(law["aic"] for law in solved.values()), []
     for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
         first = [key_rows(key, entry)[0] for key, entry in law["parameters"].items()]

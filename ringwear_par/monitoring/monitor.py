@@ -9,8 +9,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.draws import NEXT, Draws
-from ringwear_par.identification.fit_numbers import in_users_unit
 from ringwear_par.identification.summary import probabilities
+from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.answer import lines_of
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.histories import part_of, times_of

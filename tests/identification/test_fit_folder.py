@@ -60,7 +60,7 @@ def test_what_is_written(folder, found):
     ]  # fmt: skip
     stored = json.loads((folder / "fit.json").read_text())
     assert stored == json.loads(json.dumps(found.to_dict()))
-    assert {"parameters", "covariance", "chi2", "p_value", "aic", "log_evidence", "process",
+    assert {"parameters", "covariance", "chi2", "p_value", "aic", "evidence", "process",
             "experiments", "nuisance", "inputs", "checks", "doubts", "alternatives",
             "draws"} <= {*stored}  # fmt: skip
     assert stored["warnings"] == [doubt["text"] for doubt in stored["doubts"]]
