@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 from ringwear_par import read_case
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification import sampling, solution
+from ringwear_par.identification import solution
 from ringwear_par.identification.definition import problem as fits
 from ringwear_par.identification.emulator import Box, emulate
 from ringwear_par.identification.histories import Readings
@@ -33,8 +33,8 @@ Score = tuple[bool, float]
 PAPER = Path(__file__).parent / "cases" / "paper.toml"
 #: histories for polynomials, their error over a reading's noise, mm that need not be as good
 HISTORIES, GOOD, FAR = 800, 0.02, 0.02
-#: effective draws, and correlation times of a chain: fewer than of fits, whose ends repeat better
-DRAWS, LENGTH = 1000.0, 6.0
+#: effective draws: fewer than of fits, whose ends repeat better
+DRAWS = 1000.0
 #: mm of displacements and profiles, g of weighings; g/mm3; sd of nuisances without a prior, mm
 SENSOR, PROFILER, BALANCE, DENSITY, FREE = 2e-4, 8e-5, 1e-4, 1.9e-3, 1e-3
 OFFSET, DRIFT = fits.Nuisance("offset"), fits.Nuisance("drift", fits.Prior(0.0, 5e-4))
@@ -131,7 +131,7 @@ class Laboratory:
         self.box = Box(low, high, 0.5 * (low + high), np.diag(0.5 * (high - low)))
         x, self.emulators = self.box.design(HISTORIES), {}
         with StopSignals() as signals:
-            true = Readings(problem.with_experiments(tuple(tests)), MPI.COMM_SELF, signals)
+            true = Readings(replace(problem, experiments=tuple(tests)), MPI.COMM_SELF, signals)
             self.same_as = true.same_as
             blocks = true.lead(lambda: true([(i, x) for i in sorted({*self.same_as})]))
         for i, y in zip(sorted({*self.same_as}), blocks, strict=True):
@@ -173,7 +173,7 @@ class Laboratory:
                     values = values - 2.0 * FREE * np.exp(0.3 * random.standard_normal()) * grown
                 read.append(replace(s, value=values + s.sd * random.standard_normal(s.n)))
             tests.append(replace(test, series=tuple(read)))
-        self.problem = self.problem.with_experiments(tuple(tests))
+        self.problem = replace(self.problem, experiments=tuple(tests))
 
 
 def holds(draws: FloatArray, truth: float, low: float = -np.inf, high: float = np.inf) -> Score:
@@ -193,7 +193,7 @@ def one_set(lab: Laboratory, seed: int) -> dict[str, Score]:
     x = np.tile(truth, (len(lab.same_as), 1))
     x[:, 0] += lab.tau * random.standard_normal(len(x))
     lab.simulate(x, random)
-    found = solution.solve(lab, seed)  # type: ignore[arg-type]
+    found = solution.solve(lab, seed, DRAWS)  # type: ignore[arg-type]
     material, scores = found.posterior.material(found.theta, random), {}
     for j, p in enumerate(lab.keys):
         name = f"{p.key.rpartition('.')[2]} ({'%' if p.log else 'MPa'})"
@@ -215,7 +215,6 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="number of the first set")
     args = parser.parse_args()
-    solution._WANTED, sampling._LONG = DRAWS, LENGTH
     for name in args.lab:
         lab, scores, started = Laboratory(*labs[name]), [], time.process_time()
         for seed in range(args.first, args.first + args.sets):

@@ -42,8 +42,8 @@ _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 _RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
 #: share of the draws without a history that is small enough; draws of which none may be no case
 _LOST, _CHECKED = 0.03, 4000
-#: effective number of draws while emulators are checked, and at the end
-_SOME, _WANTED = 1000.0, 4000.0
+#: effective number of draws while emulators are checked
+_SOME = 1000.0
 #: largest error of log p by the power, in rms
 _TRUST = 0.3
 #: draws that are weighed by true histories where emulators cannot follow, and how many must count
@@ -80,8 +80,12 @@ class Solution:
     weighed: str = ""
 
 
-def solve(readings: Readings, seed: int = 0) -> Solution:
+def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution:
     """Return draws of the posterior of ``readings.problem``. On the first rank, within ``lead``.
+
+    Parameters
+    ----------
+    wanted : effective number of draws.
 
     Raises
     ------
@@ -101,7 +105,7 @@ def solve(readings: Readings, seed: int = 0) -> Solution:
         search.draw(_SOME * (search.power == 1.0))
     # draws so far tell coordinates and neighbourhoods in which these are easy
     readings.tell("draws of the posterior")
-    search.draw(_WANTED)
+    search.draw(wanted)
     return search.solution()
 
 
