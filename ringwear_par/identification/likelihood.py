@@ -28,9 +28,11 @@ from ringwear_par.identification.readings import growth, nuisance_columns
 #: logarithms of the least and the largest share of random wear
 LOG_SHARES = np.log([1e-3, 1.0])
 #: nodes of each share by the number of bodies whose share is fitted
-_SHARE_NODES = {1: 24, 2: 10}
+_SHARE_NODES = {1: 24, 2: 20}
 #: nodes of a growth time: of one alone, beside random wear or calibrations, and of each of several
 _TIME_NODES, _JOINT_NODES, _EACH_NODES = 128, 32, 12
+#: range of the readings that is an sd of a growth without a prior
+_FREE = 100.0
 #: sd of the prior of a growth time within which they are
 _PRIOR_SDS = 4.5
 #: nodes whose log likelihood is less than the largest by more count nowhere
@@ -147,7 +149,11 @@ class Noise:
     def white(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) uncorrelated, over their sd with random wear."""
         rows = self._over_noise(rows)
-        return rows if self._factor is None else solve_triangular(self._factor, rows, lower=True)
+        return (
+            rows
+            if self._factor is None
+            else solve_triangular(self._factor, rows, lower=True, check_finite=False)
+        )
 
     def __call__(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) white and without nuisances, (n + priors, ...)."""
@@ -172,10 +178,16 @@ class Noise:
 
 
 def _prior(nuisance: Nuisance) -> tuple[float, float]:
-    """Return the mean of a nuisance's prior and 1 over its sd; 0 and 0 where it is flat."""
-    if nuisance.prior is None:
+    """Return the mean of a nuisance's prior and 1 over its sd; 0 and 0 where it is flat.
+
+    Bounds at both sides count as a normal distribution of their mean and sd.
+    """
+    if nuisance.prior is not None:
+        return nuisance.prior.mean, 1.0 / nuisance.prior.sd
+    low, high = nuisance.bounds
+    if not np.isfinite(high - low):
         return 0.0, 0.0
-    return nuisance.prior.mean, 1.0 / nuisance.prior.sd
+    return 0.5 * (low + high), float(np.sqrt(12.0)) / (high - low)
 
 
 class Growth:
@@ -192,13 +204,16 @@ class Growth:
         self.series = [i for i in numbers if i in setting.times]
         alone = _JOINT_NODES if setting.clocks or setting.scales else _TIME_NODES
         at, weights = _nodes(alone if len(self.series) < 2 else _EACH_NODES)
-        means, known = np.zeros((2, len(self.series)))
+        means, known, told = np.zeros((3, len(self.series)))
         starts = np.cumsum([0, *(test.series[i].n for i in numbers)])
         nodes: list[list[tuple[float, float, FloatArray]]] = []
         for place, i in enumerate(self.series):
             series, (low, high) = test.series[i], np.log(setting.times[i])
             amplitude = next(n for n in series.nuisances if n.kind == "thermal")
-            means[place], known[place] = _prior(amplitude)
+            means[place], told[place] = _prior(amplitude)
+            # one that is free is not far beyond the readings: it would be an offset else
+            spread = _FREE * float(np.ptp(series.value)) + float(series.sd.max())
+            known[place] = told[place] or series.factor / spread
             times = np.exp(low + 0.5 * (at + 1.0) * (high - low))
             logs = np.log(0.5 * (high - low) * weights * times)
             if series.growth_time is not None and series.growth_time.prior is not None:
@@ -228,9 +243,9 @@ class Growth:
         logs = np.array([sum(log for _, log, _ in node) for node in chosen])
         volume = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         #: (K,) what each node adds to the constant of the noise
-        self.log_constants = logs - volume + np.log(known[known > 0.0]).sum()
+        self.log_constants = logs - volume + np.log(told[told > 0.0]).sum()
         #: number of amplitudes that have no prior
-        self.free = int((known == 0.0).sum())
+        self.free = int((told == 0.0).sum())
 
     def directions(self, rows: FloatArray, data: FloatArray) -> FloatArray:
         """Return (K, g, ...) whose squares are less in white rows (n', ...) of ``Noise``.
@@ -391,7 +406,8 @@ class TestLikelihood:
         expected = self.nuisance_draws(readings[None])[0][0]
         sd, start = np.concatenate([series.sd for series in self.test.series]), 0
         for series in self.test.series:
-            rows = np.arange(start, start + series.n)[self._side[start : start + series.n] == 0.0]
+            whole = slice(start, start + series.n)
+            rows = np.arange(start, start + series.n)[self._side[whole] == 0.0]
             start += series.n
             rest = (self.data - readings - expected)[rows] / sd[rows]
             if series.sd_fitted and len(rest) > 2:
@@ -399,8 +415,11 @@ class TestLikelihood:
                 # differences of neighbours hardly feel random wear
                 squares = 0.5 * np.diff(white) ** 2 if self.setting.clocks else white**2
                 scale = max(float(np.sqrt(np.mean(squares))), 1e-9)
-                sd[rows], rest = sd[rows] * scale, rest / scale
+                sd[whole], rest = sd[whole] * scale, rest / scale
             if loss == "student":
+                if self.setting.clocks and len(rest) > 2:  # random wear is no outlier
+                    rest[1:-1] -= 0.5 * (rest[:-2] + rest[2:])
+                    rest[1:-1] /= np.sqrt(1.5)
                 sd[rows] /= np.sqrt(student_weights(rest))
         return replace(self.setting, sd=sd, expected=expected)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import gammaln, log_ndtr
 from scipy.stats import truncnorm
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
@@ -173,11 +173,47 @@ class Layout:
         x = np.empty((len(theta), self.m))
         x[:, self.shared] = theta[:, : len(self.shared)]
         for s in self.scatterings:
-            mean, precision, _ = s.material(theta)
+            mean, precision, _ = self._material(s, theta)
             sd = precision**-0.5
             low, high = (self.low[s.key] - mean) / sd, (self.high[s.key] - mean) / sd
             x[:, s.key] = mean + sd * truncnorm.rvs(low, high, random_state=random)
         return x
+
+    def _material(
+        self, s: Scattering, theta: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what ``Scattering.material`` does, by the key's prior too.
+
+        Of a logarithm the prior is normal as well, of a relative sd.
+        """
+        mean, precision, logs = s.material(theta)
+        parameter = self.problem.parameters[s.key]
+        if parameter.prior is None:
+            return mean, precision, logs
+        at, sd = parameter.prior
+        if parameter.log:
+            at, sd = np.log(at), sd / at
+        variance = 1.0 / precision + sd**2
+        logs = logs - 0.5 * (mean - at) ** 2 / variance - 0.5 * np.log(variance)
+        both = precision + sd**-2
+        return (precision * mean + at / sd**2) / both, both, logs
+
+    @property
+    def log_constant(self) -> float:
+        """Logarithm of what makes the integral of the prior 1, but for ends of normal ones."""
+        constant = 0.0
+        for j, parameter in enumerate(self.problem.parameters):
+            if parameter.prior is None:
+                constant -= np.log(self.high[j] - self.low[j])
+            else:
+                scatters = parameter.scatter is not None  # then the sd is in ``_material``
+                constant -= 0.5 * np.log(2.0 * np.pi) + (
+                    0.0 if scatters else np.log(parameter.prior.sd)
+                )
+        half_t = gammaln(0.5 * (_DEGREES + 1.0)) - gammaln(0.5 * _DEGREES)
+        constant += len(self.sizes) * (np.log(2.0) + half_t - 0.5 * np.log(_DEGREES * np.pi))
+        groups = [s.places.stop - s.places.start for s in self.scatterings]
+        return float(constant - 0.5 * np.log(2.0 * np.pi) * sum(n - 1 for n in groups))
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
         """Return the log density of the prior of theta (..., d), but for a constant."""
@@ -196,7 +232,7 @@ class Layout:
                 value = np.exp(x) if p.log else x
                 logs = logs - 0.5 * ((value - p.prior.mean) / p.prior.sd) ** 2 + x * p.log
         for s in self.scatterings:
-            mean, precision, log_p = s.material(theta)
+            mean, precision, log_p = self._material(s, theta)
             ends = [
                 (end - mean) * np.sqrt(precision) for end in (self.low[s.key], self.high[s.key])
             ]

@@ -102,8 +102,8 @@ def draw(
     while power < most:
         prior, full = log_p(draws, 0.0), log_p(draws, 1.0)
         good = np.isfinite(full)
-        best, weights = (-1.0, 0.0), np.ones(len(draws))
-        for trial in most * 0.8 ** np.arange(100):
+        best, weights = (-1.0, most), np.ones(len(draws))
+        for trial in power + (most - power) * 0.8 ** np.arange(100):
             logs = np.full(len(draws), -np.inf)
             logs[good] = (1.0 - trial) * prior[good] + trial * full[good] - old[good]
             w = np.exp(logs - logs.max())

@@ -118,7 +118,7 @@ def _with_volumes(test: Experiment, bodies: list[int]) -> Experiment:
     times = np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
     more = [
         Series(
-            f"volume.{BODIES[b]}",
+            f"volume beside {BODIES[b]}",
             f"volume.{BODIES[b]}",
             times,
             np.zeros_like(times),

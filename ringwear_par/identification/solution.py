@@ -177,13 +177,15 @@ class _Search:
         return tried
 
     def adapt(self, tried: _Tried, *, first: bool) -> None:
-        """Take the settings from the middle of the draws; at first from the best one tried.
+        """Take the settings from the middle of the draws, or from the best one tried.
 
-        There is wear at that one, which there may not be in the middle of the bounds.
+        From that one at first, as it wears, which the middle of the bounds may not, and where the
+        middle has no history.
         """
         x, readings = self._x, self.readings
         middle = np.median(x, axis=0)
-        if first:
+        there = readings([(i, middle[i : i + 1]) for i in self._tests])
+        if first or not np.isfinite(np.concatenate(there, axis=1)).all():
             middle = tried.x[np.nanargmax(self._log_p(tried.readings))]
         before, problem = self._settings, readings.problem
         if self._emulators:
@@ -288,6 +290,7 @@ class _Search:
         if readings.failed:
             self._keep_cases()
         evidence, evidence_error = log_evidence(posterior, self._draws)
+        evidence += posterior.log_constant
         return Solution(
             readings.problem, posterior, self._draws, self.effective,
             mode(posterior, self._draws, self._density), evidence, evidence_error,

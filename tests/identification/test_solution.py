@@ -40,7 +40,8 @@ def test_a_linear_test_has_the_posterior_of_least_squares():
     exact = (
         -0.5 * rest @ rest / 0.05**2 + np.log(2.0 * np.pi) + 0.5 * np.linalg.slogdet(covariance)[1]
     )
-    assert found.log_evidence == pytest.approx(exact, abs=0.03)
+    low, high = found.problem.unknown_bounds
+    assert found.log_evidence == pytest.approx(exact - np.log(high - low).sum(), abs=0.03)
     assert found.evidence_error < 0.02
     assert found.emulator_error < 0.1
     assert (found.weighed, found.failed) == ("", 0)
@@ -91,7 +92,7 @@ def test_regions_without_histories_are_counted():
         return np.where(x[:, :1] > 1.02, np.nan, linear(x))
 
     found = solved(BOTH, only_some)
-    assert np.quantile(found.theta[:, 0], 0.99) < 1.04
+    assert np.quantile(found.theta[:, 0], 0.99) < 1.06
     assert 0 < found.failed < found.histories
     with pytest.raises(rw.ComputationError, match="no history at any draw: no history there"):
         solved(BOTH, lambda x: np.full((len(x), 20), np.nan))
