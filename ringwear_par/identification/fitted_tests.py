@@ -15,7 +15,7 @@ from scipy.special import log_ndtr
 from scipy.stats import norm, qmc
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.definition.problem import Experiment, Series, records
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood, sides
 from ringwear_par.identification.noise import brownian_root, coloured, whitened
 from ringwear_par.identification.posterior import Posterior
@@ -62,11 +62,9 @@ def explained(likelihood: TestLikelihood, readings: FloatArray) -> Explained:
 
 def noise_root(likelihood: TestLikelihood) -> FloatArray:
     """Return L (n, n) whose L L' is the covariance of the noise of a test's instruments."""
-    root, start, test = np.eye(likelihood.test.n), 0, likelihood.test
-    for series in test.series:
-        part = slice(start, start + series.n)
+    root = np.eye(likelihood.test.n)
+    for series, part in records(likelihood.test.series):
         root[part] = coloured(series, root[part])
-        start += series.n
     return likelihood.setting.sd[:, None] * root
 
 
@@ -101,9 +99,7 @@ class FittedTest:
     @property
     def records(self) -> list[tuple[Series, slice]]:
         """Its series, and where their readings are."""
-        ends = np.cumsum([0, *(series.n for series in self.experiment.series)]).tolist()
-        places = map(slice, ends, ends[1:])
-        return list(zip(self.experiment.series, places, strict=True))
+        return records(self.experiment.series)
 
 
 def fitted_test(
@@ -150,11 +146,8 @@ def fitted_test(
 
 def _residuals(likelihood: TestLikelihood, model: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the noise (n,) of readings, and data less model over it, white."""
-    sd, start = likelihood.setting.sd.copy(), 0
-    off = likelihood.data - model
-    for series in likelihood.test.series:
-        part = slice(start, start + series.n)
-        start += series.n
+    sd, off = likelihood.setting.sd.copy(), likelihood.data - model
+    for series, part in records(likelihood.test.series):
         # the loss "student" has made the sd of outliers larger
         scale = float((sd[part] / series.sd).min()) if series.sd_fitted else 1.0
         sd[part] = scale * series.sd

@@ -14,6 +14,7 @@ from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
     Problem,
+    records,
     reflected,
 )
 from ringwear_par.identification.likelihood import EmulatedLikelihood
@@ -234,10 +235,9 @@ def _between_readings(likelihoods: Sequence[EmulatedLikelihood], body: int) -> f
     """Return the median depth worn between two readings of records, over the largest of all."""
     steps = []
     for likelihood in (one.likelihood for one in likelihoods):
-        records, depth = likelihood.test.series, likelihood.setting.clocks[body][1]
-        parts = np.split(depth, np.cumsum([series.n for series in records])[:-1])
+        depth = likelihood.setting.clocks[body][1]
         steps += [
-            np.diff(np.unique(part)) for series, part in zip(records, parts, strict=True)
+            np.diff(np.unique(depth[part])) for series, part in records(likelihood.test.series)
             if series.n > _SEVERAL and not series.profile
         ]  # fmt: skip
     return float(np.median(np.concatenate(steps))) if steps else None

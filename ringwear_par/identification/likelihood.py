@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.special import gammaln, log_ndtr, logsumexp
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.definition.problem import Experiment, Nuisance
+from ringwear_par.identification.definition.problem import Experiment, Nuisance, records
 from ringwear_par.identification.emulator import Emulator
 from ringwear_par.identification.noise import log_volume, student_weights, whitened
 from ringwear_par.identification.readings import growth, nuisance_columns
@@ -92,10 +92,9 @@ class Noise:
     def __init__(
         self, test: Experiment, numbers: Sequence[int], setting: Setting, shares: FloatArray
     ) -> None:
-        starts = np.cumsum([0, *(s.n for s in test.series)])
-        self._series = [test.series[i] for i in numbers]
+        self._series, among = [test.series[i] for i in numbers], records(test.series)
         #: (n,) of these readings among all of the test
-        self.rows: IntArray = np.concatenate([np.arange(*starts[[i, i + 1]]) for i in numbers])
+        self.rows: IntArray = np.r_[tuple(among[i][1] for i in numbers)]
         self._sd, self._limit = setting.sd[self.rows], sides(test)[self.rows] != 0.0
         scales = setting.scales if len(numbers) == len(test.series) else ()
         #: (n, k) what a unit of each nuisance adds to the readings
@@ -137,12 +136,9 @@ class Noise:
 
     def _over_noise(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) over the noise of instruments, uncorrelated; 0 of limits."""
-        out, start = [], 0
         rows = (rows.T / self._sd).T
-        for series in self._series:
-            out.append(whitened(series, rows[start : start + series.n]))
-            start += series.n
-        white: FloatArray = np.concatenate(out)
+        parts = [whitened(series, rows[part]) for series, part in records(self._series)]
+        white: FloatArray = np.concatenate(parts)
         white[self._limit] = 0.0
         return white
 
@@ -205,7 +201,7 @@ class Growth:
         alone = _JOINT_NODES if setting.clocks or setting.scales else _TIME_NODES
         at, weights = _nodes(alone if len(self.series) < 2 else _EACH_NODES)
         means, known, told = np.zeros((3, len(self.series)))
-        starts = np.cumsum([0, *(test.series[i].n for i in numbers)])
+        places = [part for _, part in records([test.series[i] for i in numbers])]
         nodes: list[list[tuple[float, float, FloatArray]]] = []
         for place, i in enumerate(self.series):
             series, (low, high) = test.series[i], np.log(setting.times[i])
@@ -220,10 +216,9 @@ class Growth:
                 prior = series.growth_time.prior
                 logs = logs - 0.5 * ((times - prior.mean) / prior.sd) ** 2 - np.log(prior.sd)
             rows = np.zeros((len(at), len(noise.rows)))
-            first = starts[list(numbers).index(i)]
+            part = places[list(numbers).index(i)]
             for row, time in zip(rows, times.tolist(), strict=True):
-                grown = growth(amplitude, test.case, series.x, time)
-                row[first : first + series.n] = series.factor * grown
+                row[part] = series.factor * growth(amplitude, test.case, series.x, time)
             nodes.append(list(zip(times.tolist(), logs.tolist(), rows, strict=True)))
         chosen = list(itertools.product(*nodes))
         #: (K, g) s, growth times
@@ -404,11 +399,9 @@ class TestLikelihood:
         sd; growth times stay.
         """
         expected = self.nuisance_draws(readings[None])[0][0]
-        sd, start = np.concatenate([series.sd for series in self.test.series]), 0
-        for series in self.test.series:
-            whole = slice(start, start + series.n)
-            rows = np.arange(start, start + series.n)[self._side[whole] == 0.0]
-            start += series.n
+        sd = np.concatenate([series.sd for series in self.test.series])
+        for series, whole in records(self.test.series):
+            rows = whole.start + np.flatnonzero(self._side[whole] == 0.0)
             rest = (self.data - readings - expected)[rows] / sd[rows]
             if series.sd_fitted and len(rest) > 2:
                 white = whitened(series, rest) if len(rest) == series.n else rest

@@ -1,6 +1,6 @@
 """Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Problem, Series
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Problem, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.histories import HistoryError, Readings, cases_at
 from ringwear_par.identification.likelihood import Noise, Setting
@@ -69,7 +69,7 @@ def refuse_unfit(readings: Readings) -> None:
     faults = []
     low, high = problem.unknown_bounds
     for i, test in enumerate(problem.experiments):
-        for number, series, rows in _records(test):
+        for number, (series, rows) in enumerate(records(test.series)):
             where = f'{problem.name}: experiment "{legible(test.name)}": {series.name}: '
             only_limits = series.censored is not None and series.censored.all()
             change = slopes[i][rows] * (high - low) / series.sd[:, None]
@@ -119,14 +119,6 @@ def _case_points(problem: Problem) -> FloatArray:
             "cases; must leave room for what the wear laws allow of their numbers together"
         )
     return drawn[good][:_POINTS]
-
-
-def _records(test: Experiment) -> Iterator[tuple[int, Series, slice]]:
-    """Yield the number of each series of a test, the series, and where its readings are."""
-    start = 0
-    for number, series in enumerate(test.series):
-        yield number, series, slice(start, start + series.n)
-        start += series.n
 
 
 def _noise(test: Experiment, numbers: Sequence[int]) -> Noise:

@@ -115,14 +115,13 @@ def random_wear(
 
 def _with_volumes(test: Experiment, bodies: list[int]) -> Experiment:
     """Return a test that has volumes worn off some bodies, too, at the times of all readings."""
-    times = np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
     more = [
         Series(
             f"volume beside {BODIES[b]}",
             f"volume.{BODIES[b]}",
-            times,
-            np.zeros_like(times),
-            np.ones_like(times),
+            test.times,
+            np.zeros(test.n),
+            np.ones(test.n),
         )
         for b in bodies
     ]

@@ -17,6 +17,7 @@ from ringwear_par.identification.definition.problem import (
     Experiment,
     Problem,
     body_of_wear,
+    records,
     reflected,
 )
 from ringwear_par.identification.draws import Draws
@@ -139,11 +140,10 @@ class Follower:
         """Return the likelihood of other readings: noise and growth times as was found."""
         setting, known = self.histories.setting_of(test, "gaussian"), {}
         if found.likelihood is not None:
-            old, start = found.likelihood.likelihood, 0
-            for i, s in enumerate(old.test.series):
-                scale = np.median(old.setting.sd[start : start + s.n] / s.sd)
-                known[s.name] = float(scale) if s.sd_fitted else 1.0, old.setting.times.get(i)
-                start += s.n
+            old = found.likelihood.likelihood
+            for i, (s, part) in enumerate(records(old.test.series)):
+                scale = float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
+                known[s.name] = scale, old.setting.times.get(i)
         sd = np.concatenate([known.get(s.name, (1.0,))[0] * s.sd for s in test.series])
         times = {
             i: known.get(test.series[i].name, (1.0, None))[1] or ends

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification.definition.problem import Experiment, Problem, Series
+from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS, Trajectory
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
 from ringwear_par.identification.histories import Readings, step_times
@@ -29,11 +29,6 @@ _SCALE, _CLOSE = 1e-3, 0.03
 _SHARE = 0.05
 
 
-def times_of(test: Experiment) -> FloatArray:
-    """Return the times (n,) s of all readings of a test."""
-    return np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in test.series])
-
-
 def frame_of(problem: Problem) -> tuple[Hashable, ...]:
     """Return all of a problem of one test but its readings over time, which histories are for."""
     (test,) = problem.experiments
@@ -46,8 +41,7 @@ def frame_of(problem: Problem) -> tuple[Hashable, ...]:
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
     """Return a test with some of its readings (n,), without series that their nuisances explain."""
-    masks = np.split(rows, _ends(test))
-    parts = [s.part(mask) for s, mask in zip(test.series, masks, strict=True)]
+    parts = [series.part(rows[place]) for series, place in records(test.series)]
     told = (s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None))
     return replace(test, series=tuple(told))
 
@@ -90,8 +84,9 @@ class Histories:
         if good.sum() < 2 * x.shape[1] + 2:
             reason = f"hardly any draw has a history: {readings.reason}"
             raise ComputationError(f"{problem.name}: {reason}")
-        spreads = np.split(y[good].std(axis=0), _ends(plan))
-        sd = np.concatenate([np.full(len(s), s.max() or 1.0) for s in spreads])
+        sd = y[good].std(axis=0)
+        for _, part in records(plan.series):
+            sd[part] = sd[part].max() or 1.0
         root = np.linalg.cholesky(np.atleast_2d(np.cov(x.T)))
         distance = np.linalg.norm(np.linalg.solve(root, (points[good] - middle).T), axis=0)
         emulator, _ = emulate(box, points, y, _SCALE * sd, nearness(distance), _CLOSE)
@@ -120,8 +115,7 @@ class Histories:
 
     def _parts(self, columns: FloatArray) -> dict[str, FloatArray]:
         """Return readings (n, ...) of the plan by the names of its series."""
-        names = [series.name for series in self.plan.series]
-        return dict(zip(names, np.split(columns, _ends(self.plan)), strict=True))
+        return {series.name: columns[part] for series, part in records(self.plan.series)}
 
     def read(self, columns: FloatArray, test: Experiment) -> FloatArray:
         """Return the readings (n, ...) of a test by those of the plan."""
@@ -152,7 +146,7 @@ class Histories:
         """Return the setting of a test before its readings are looked at."""
         clocks = []
         for felt, share in self.setting.clocks:
-            depth = np.interp(times_of(test), self.time, share[: len(self.time)])
+            depth = np.interp(test.times, self.time, share[: len(self.time)])
             answer = self.read(felt * share, test)
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
@@ -171,8 +165,3 @@ def _plan(test: Experiment) -> Experiment:
     series = [Series(f"all {q}", q, times, zero, one, density=None) for q in quantities]
     fixed = [s for s in test.series if READING_KINDS[s.kind].values is None]
     return replace(test, series=(*series, *fixed))
-
-
-def _ends(test: Experiment) -> IntArray:
-    """Return where series of a test end and others begin."""
-    return np.cumsum([series.n for series in test.series])[:-1]

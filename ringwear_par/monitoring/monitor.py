@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.definition.problem import Problem, records
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.summary import probabilities
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.answer import lines_of
 from ringwear_par.monitoring.follower import Follower, Specimen
-from ringwear_par.monitoring.histories import part_of, times_of
+from ringwear_par.monitoring.histories import part_of
 from ringwear_par.monitoring.outlook import surprise, time_to, time_to_goal
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
@@ -82,7 +82,7 @@ class Monitor:
         problem : of the running test, with its readings so far.
         """
         (test,), asked, follower = problem.experiments, self._asked, self._followers[""]
-        times, end, window = times_of(test), test.case.time.end, test.case.time.end / WINDOWS
+        times, end, window = test.times, test.case.time.end, test.case.time.end / WINDOWS
         laws_before, key = probabilities(self._evidences), problem.keys[asked.key]
         trace = [[0.0, *self._before[asked.key].tolist(), *laws_before.values()]]
         alarm, now = None, float(times.max())
@@ -137,9 +137,9 @@ class Monitor:
             for s in both.series
         )
         if content not in self._windows:
-            found, last = follower.update(part_of(test, old)), times_of(test)[old].max()
+            found, last = follower.update(part_of(test, old)), test.times[old].max()
             laws = self._laws(problem, old, found)
-            p = surprise(follower, found, both, times_of(both) > last) if found.likelihood else 1.0
+            p = surprise(follower, found, both, both.times > last) if found.likelihood else 1.0
             interval = self._intervals(found)[self._asked.key].tolist()
             self._windows[content] = [float(last), *interval, *laws.values()], p
         return self._windows[content]
@@ -200,19 +200,20 @@ class Monitor:
     def record(self) -> Panel | None:
         """Return the panel of the first record of penetration, approach or torque."""
         (found, test), histories = self._last, self._followers[""].histories
-        rows = np.cumsum([0, *(series.n for series in test.series)])
-        places = {s.quantity: i for i, s in reversed([*enumerate(test.series)])}
-        known = [places[q] for q in ("penetration", "approach", "torque") if q in places]
+        known = [
+            record for quantity in ("penetration", "approach", "torque")
+            for record in records(test.series) if record[0].quantity == quantity
+        ]  # fmt: skip
         if not known or found.likelihood is None:
             return None
-        series, quantity = test.series[known[0]], test.series[known[0]].quantity
+        (series, part), quantity = known[0], known[0][0].quantity
         steps = histories.at_steps(quantity.replace("penetration", "approach"))
         steps = steps - steps[0] if quantity == "penetration" else steps
         tail = 0.5 * (1.0 - self._level)
         curves = np.quantile(found.chosen(_DRAWN) @ steps.T, (tail, 0.5, 1.0 - tail), axis=0)
         middle = self._followers[""].middle(found, test)
         added = found.likelihood.likelihood.nuisance_draws(middle[None])[0][0]
-        value = series.value - added[rows[known[0]] : rows[known[0] + 1]]
+        value = series.value - added[part]
         symbol, factor = DISPLAY_UNITS.get(quantity, ("N mm", 1.0))
         unit, seconds = time_unit(test.case.time.end)
         time, (low, median, high) = histories.time / seconds, factor * curves

@@ -11,7 +11,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
 from ringwear_par.monitoring.follower import Follower, Specimen
-from ringwear_par.monitoring.histories import part_of, times_of
+from ringwear_par.monitoring.histories import part_of
 from ringwear_par.prediction.prediction import times_at
 
 #: draws by which readings are predicted, and for the time to a depth
@@ -86,7 +86,7 @@ def time_to_goal(
     """
     end, m = test.case.time.end, follower.m
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    times, x = times_of(planned), found.unknowns[:, :m] - found.weights @ found.unknowns[:, :m]
+    times, x = planned.times, found.unknowns[:, :m] - found.weights @ found.unknowns[:, :m]
     weighed = found.weights * x.T
     slopes = np.linalg.pinv(weighed @ x, hermitian=True) @ weighed @ found.coordinates
     by_key = (slopes @ follower.histories.emulator.modes).T

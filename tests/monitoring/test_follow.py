@@ -27,7 +27,7 @@ from scipy.special import logsumexp
 import ringwear_par as rw
 from ringwear_par.monitoring.follow import run_follow
 from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.histories import part_of, times_of
+from ringwear_par.monitoring.histories import part_of
 from ringwear_par.monitoring.monitor import Asked, Monitor
 from ringwear_par.monitoring.outlook import time_to
 from ringwear_par.monitoring.running_test import RunningTest
@@ -279,7 +279,7 @@ def test_readings_in_one_portion_or_many(folder):
     other = replace(test.series[0], value=0.7 * test.series[0].value)
     monitor.answer(replace(problem, experiments=(replace(test, series=(other,)),)))
     for until in (1.0, 17.0, 40.0, 41.0, END):
-        part = replace(problem, experiments=(part_of(test, times_of(test) <= until),))
+        part = replace(problem, experiments=(part_of(test, test.times <= until),))
         if part.experiments[0].series:
             answer = monitor.answer(part)
     assert json.dumps(answer) == json.dumps(fresh)
@@ -342,7 +342,7 @@ def test_random_wear_goes_on_from_the_readings(folder):
     times = []
     for size in (1e-9, 2e-4):
         follower = follower_of(problem, replace(draws, process=np.tile([size, 0.0], (2000, 1))))
-        found = follower.update(part_of(test, times_of(test) <= 60.0))
+        found = follower.update(part_of(test, test.times <= 60.0))
         reached = time_to(follower, found, 6.5e-3)
         times.append(np.quantile(reached, (0.2, 0.5, 0.8), method="inverted_cdf"))
     assert 60.0 < times[1][0] < times[1][1] < END

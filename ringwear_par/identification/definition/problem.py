@@ -248,6 +248,12 @@ class Series:
         return READING_KINDS[self.kind].of_wear and (of_both or self.body == body)
 
 
+def records(every: Sequence[Series]) -> list[tuple[Series, slice]]:
+    """Return each series, and where its readings are if all follow one another."""
+    ends = np.cumsum([0, *(series.n for series in every)]).tolist()
+    return list(zip(every, map(slice, ends, ends[1:]), strict=True))
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuredInput:
     """A quantity of a test's case over time, as the rig measured it."""
@@ -326,6 +332,11 @@ class Experiment:
     def n(self) -> int:
         """Number of readings."""
         return sum(series.n for series in self.series)
+
+    @property
+    def times(self) -> FloatArray:
+        """When each reading was made, (n,) s."""
+        return np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in self.series])
 
     @property
     def bends_within(self) -> bool:
