@@ -33,12 +33,13 @@ def _covariance(readings: Readings) -> FloatArray:
     """Return the covariance (m, m) of the unknowns that readings and priors leave, linear."""
     refuse_unfit(readings)
     problem, loss = readings.problem, readings.problem.settings.loss
-    start = np.tile(problem.unknowns([*problem.start.values()]), (len(problem.experiments), 1))
+    start = problem.unknowns([*problem.start.values()])[None]
     processes = problem.settings.process.values()
     settings = [Setting.before(test, loss, len(processes)) for test in problem.experiments]
     expected = np.array([process.expected_share for process in processes])
-    settings = settings_at(readings, settings, start, expected, first=True)
-    _, slopes = readings.jacobians(start)
+    middle = np.tile(start, (len(settings), 1))
+    settings = settings_at(readings, settings, middle, expected, first=True)
+    _, slopes = readings.with_slopes(start)
     variances = np.array([p.scatter.variance if p.scatter else 0.0 for p in problem.parameters])
     known = np.diag([prior_sd(p) ** -2 for p in problem.parameters])
     for test, setting, slope in zip(readings.problem.experiments, settings, slopes, strict=True):
@@ -49,7 +50,7 @@ def _covariance(readings: Readings) -> FloatArray:
         shares = np.where(np.isnan(setting.shares), expected, setting.shares)
         every = range(len(test.series))
         # tests of one specimen too are taken as if of several
-        known += information(test, every, setting, shares, slope[:, None], loss, variances)[0]
+        known += information(test, every, setting, shares, slope, loss, variances)[0]
     return np.linalg.inv(known)
 
 

@@ -17,7 +17,7 @@ from scipy.stats import norm, qmc
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Series, records
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood, sides
-from ringwear_par.identification.noise import brownian_root, coloured, whitened
+from ringwear_par.identification.noise import coloured, whitened
 from ringwear_par.identification.posterior import Posterior
 
 #: step of differences of log p, in the sd of an unknown
@@ -130,11 +130,11 @@ def fitted_test(
     band = np.sqrt(np.where(side == 0.0, spread, (readings + added).var(axis=0)))
     excess, excess_sd = np.zeros((2, test.n, len(depths)))
     for body, (slope, depth) in enumerate(likelihood.setting.clocks):
-        wear = likelihood.shares[body] * depths[body] * brownian_root(depth)
-        felt = slope[:, None] * wear / depths[body]
-        excess[:, body] = wear @ (felt.T @ found.scores[:, 0])
-        left = np.eye(test.n) - felt.T @ found.precision @ felt
-        excess_sd[:, body] = np.sqrt(np.maximum(((wear @ left) * wear).sum(axis=1), 0.0))
+        wear = (likelihood.shares[body] * depths[body]) ** 2 * np.minimum.outer(depth, depth)
+        felt = wear * slope / depths[body]
+        excess[:, body] = felt @ found.scores[:, 0]
+        left = np.diag(wear) - ((felt @ found.precision) * felt).sum(axis=1)
+        excess_sd[:, body] = np.sqrt(np.maximum(left, 0.0))
     freedom = [noise.freedom - growth.free for noise, growth in likelihood.noises]
     given = [not any(test.series[i].sd_fitted for i in part) for part in likelihood.parts]
     sd, residuals = _residuals(likelihood, model)

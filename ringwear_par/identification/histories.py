@@ -250,27 +250,22 @@ class Readings:
                         rows[i] = HistoryError(reason_of(result))
         return [rows[i] for i in range(len(entries))]
 
-    def jacobians(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return readings (n,) and their derivatives (n, m) of each test at unknowns (tests, m).
+    def with_slopes(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return readings (d, n) of each test at unknowns (d, m), and derivatives (n, d, m).
 
-        By central differences of one block of histories, forward or backward at a bound; NaN where
-        there is no history.
+        By differences within the bounds, of one block of histories; NaN where there is no history.
+        On the first rank, within ``lead``.
         """
         low, high = self.problem.unknown_bounds
         step = _DIFFERENCE * (high - low)
-        points = [
-            np.vstack(
-                [at, np.minimum(at + np.diag(step), high), np.maximum(at - np.diag(step), low)]
-            )
-            for at in x
-        ]
-        blocks = self(list(enumerate(points)))
-        m = x.shape[1]
-        slopes = [
-            (y[1 : m + 1] - y[m + 1 :]).T / (np.diag(at[1 : m + 1]) - np.diag(at[m + 1 :]))
-            for at, y in zip(points, blocks, strict=True)
-        ]
-        return [y[0] for y in blocks], slopes
+        step = np.where(x + step > high, -step, step)
+        moved = x[:, None] + step[:, None] * np.eye(len(low))
+        points = np.concatenate([x[:, None], moved], axis=1)
+        every = points.reshape(-1, len(low))
+        blocks = self([(i, every) for i in range(len(self.problem.experiments))])
+        rows = [y.reshape(*points.shape[:2], y.shape[1]) for y in blocks]
+        slopes = [np.moveaxis((y[:, 1:] - y[:, :1]) / step[..., None], 2, 0) for y in rows]
+        return [y[:, 0] for y in rows], slopes
 
     def history(self, test: int, unknowns: FloatArray) -> Result:
         """Return the history of a test at unknowns (m,), or raise HistoryError. By this rank."""

@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.special import gammaln, log_ndtr, logsumexp
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.definition.problem import Experiment, Nuisance, records
+from ringwear_par.identification.definition.problem import Experiment, Loss, Nuisance, records
 from ringwear_par.identification.emulator import Emulator
 from ringwear_par.identification.noise import log_volume, student_weights, whitened
 from ringwear_par.identification.readings import growth, nuisance_columns
@@ -62,7 +62,7 @@ class Setting:
     scales: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def before(cls, test: Experiment, loss: str, bodies: int) -> "Setting":
+    def before(cls, test: Experiment, loss: Loss = "gaussian", bodies: int = 0) -> "Setting":
         """Return the setting before any draws, when readings may be outliers.
 
         Parameters
@@ -392,7 +392,7 @@ class TestLikelihood:
                 times[i] = grown.times[nodes, place]
         return added, values, times
 
-    def adapted(self, readings: FloatArray, loss: str) -> Setting:
+    def adapted(self, readings: FloatArray, loss: Loss) -> Setting:
         """Return the setting about readings (n,) of the model: sd and nuisances.
 
         An sd that is fitted becomes that of the residuals; weights of the loss "student" are in the

@@ -10,6 +10,8 @@ from ringwear_par.identification.definition.problem import Series
 
 #: degrees of freedom of the loss "student"
 _NU = 4.0
+#: Fisher information of such noise over that of normal noise
+STUDENT = (_NU + 1.0) / (_NU + 3.0)
 
 
 def whitened(series: Series, rows: FloatArray) -> FloatArray:
@@ -44,13 +46,4 @@ def student_weights(residuals: FloatArray) -> FloatArray:
 
     Those of the squares in its steps, times its Fisher information over that of normal noise.
     """
-    return (_NU + 1.0) / (_NU + residuals * residuals) * (_NU + 1.0) / (_NU + 3.0)
-
-
-def brownian_root(depth: FloatArray) -> FloatArray:
-    """Return L (n, n) with L L' = min(depth_i, depth_j), the covariance of a Brownian motion."""
-    order = np.argsort(depth, kind="stable")
-    root = np.zeros((len(depth), len(depth)))
-    steps = np.sqrt(np.maximum(np.diff(depth[order], prepend=0.0), 0.0))
-    root[order] = np.tril(np.broadcast_to(steps, (len(depth), len(depth))))
-    return root
+    return (_NU + 1.0) / (_NU + residuals * residuals) * STUDENT

@@ -64,7 +64,7 @@ def refuse_unfit(readings: Readings) -> None:
     problem = readings.problem
     start = problem.unknowns([*problem.start.values()])
     points = _case_points(problem)
-    models, slopes = readings.jacobians(np.tile(start, (len(problem.experiments), 1)))
+    models, slopes = readings.with_slopes(start[None])
     values = ", ".join(f"{key} = {value:g}" for key, value in problem.start.items())
     faults = []
     low, high = problem.unknown_bounds
@@ -72,13 +72,13 @@ def refuse_unfit(readings: Readings) -> None:
         for number, (series, rows) in enumerate(records(test.series)):
             where = f'{problem.name}: experiment "{legible(test.name)}": {series.name}: '
             only_limits = series.censored is not None and series.censored.all()
-            change = slopes[i][rows] * (high - low) / series.sd[:, None]
+            change = slopes[i][rows, 0] * (high - low) / series.sd[:, None]
             if not only_limits and np.linalg.norm(change) < _NO_RESPONSE:
                 faults.append(
                     f"{where}does not respond to any parameter at the start ({values}); must "
                     "respond to at least one"
                 )
-            if _is_reversed(test, number, models[i][rows]):
+            if _is_reversed(test, number, models[i][0, rows]):
                 faults.append(
                     f"{where}has the wrong sign: readings fall where the model rises; must be "
                     "positive where material is lost"
@@ -87,8 +87,7 @@ def refuse_unfit(readings: Readings) -> None:
     for point in points:
         if felt.all():
             break
-        everywhere = np.tile(point, (len(problem.experiments), 1))
-        felt |= _felt(problem, readings.jacobians(everywhere)[1])
+        felt |= _felt(problem, readings.with_slopes(point[None])[1])
     faults += [
         f"{problem.name}: no readings respond to {parameter.key}, at the start ({values}) or "
         "anywhere within its bounds; some must: is a threshold (p0) above all pressures?"
@@ -125,18 +124,18 @@ def _noise(test: Experiment, numbers: Sequence[int]) -> Noise:
     """Return the noise of some series of a test, limits as if they were readings."""
     every = tuple(replace(series, censored=None) for series in test.series)
     test = replace(test, series=every)
-    return Noise(test, numbers, Setting.before(test, "normal", 0), np.zeros(0))
+    return Noise(test, numbers, Setting.before(test), np.zeros(0))
 
 
 def _felt(problem: Problem, slopes: Sequence[FloatArray]) -> BoolArray:
-    """Tell which keys (m,) change some readings in ways that nuisances do not, by (n, m) slopes.
+    """Tell which keys (m,) change some readings in ways that nuisances do not, by (n, 1, m) slopes.
 
     Where there is no history, all do.
     """
     low, high = problem.unknown_bounds
     reach = np.where([p.log for p in problem.parameters], 1.0, _WIDTHS * (high - low))
     rows = [
-        _noise(test, range(len(test.series)))(slope)
+        _noise(test, range(len(test.series)))(slope[:, 0])
         for test, slope in zip(problem.experiments, slopes, strict=True)
     ]
     felt: BoolArray = ~(np.linalg.norm(np.concatenate(rows), axis=0) * reach <= _NOT_FELT)

@@ -11,7 +11,13 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
+from ringwear_par.identification.definition.problem import (
+    Experiment,
+    Loss,
+    Problem,
+    Series,
+    records,
+)
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS, Trajectory
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
 from ringwear_par.identification.histories import Readings, step_times
@@ -71,7 +77,7 @@ class Histories:
         (test,), bodies = problem.experiments, len(problem.settings.process)
         plan, middle = _plan(test), np.median(x, axis=0)
         readings.problem = replace(problem, experiments=(plan,))
-        settings = [Setting.before(plan, "", bodies)]
+        settings = [Setting.before(plan, bodies=bodies)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _SHARE)
             settings = settings_at(readings, settings, middle[None], shares, first=True)
@@ -142,7 +148,7 @@ class Histories:
         both = self.read(self.columns, test)
         return replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
 
-    def setting_of(self, test: Experiment, loss: str) -> Setting:
+    def setting_of(self, test: Experiment, loss: Loss) -> Setting:
         """Return the setting of a test before its readings are looked at."""
         clocks = []
         for felt, share in self.setting.clocks:

@@ -15,17 +15,19 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import (
+    Experiment,
+    Loss,
+    Problem,
+    body_of_wear,
+)
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import prior_sd
 from ringwear_par.identification.likelihood import Growth, Noise, Setting
+from ringwear_par.identification.noise import STUDENT
 from ringwear_par.identification.setting import random_wear
 
-#: Fisher information of noise of the loss "student" over that of normal noise
-_STUDENT = 5.0 / 7.0
-#: share of its bounds by which a key is moved for a derivative
-_STEP = 1e-4
 #: draws at which readings are compared, and of priors from which these are chosen
 _DRAWS, _MANY = 6, 512
 
@@ -116,7 +118,7 @@ def informations(
     parts : number of the test and of those of its series that are read, of each wanted.
     """
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
-    slopes = _slopes(readings, before.draws)
+    _, slopes = readings.with_slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
     expected = [noise.expected_share for noise in problem.settings.process.values()]
     deepest = [max(test[i][1].max() for test in clocks[:own]) for i in range(len(depths))]
@@ -126,26 +128,11 @@ def informations(
     for matrices, (number, series) in zip(found, parts, strict=True):
         test = tests[number]
         if np.isfinite(slopes[number]).all():
-            setting = replace(Setting.before(test, "", 0), clocks=tuple(clocks[number]))
+            setting = replace(Setting.before(test), clocks=tuple(clocks[number]))
             matrices[:] = information(
                 test, series, setting, shares, slopes[number], problem.settings.loss, before.scatter
             )
     return found
-
-
-def _slopes(readings: Readings, draws: FloatArray) -> list[FloatArray]:
-    """Return the derivatives (n, d, m) of the readings of all tests at unknowns (d, m).
-
-    By one block of m + 1 histories for each test and draw.
-    """
-    low, high = readings.problem.unknown_bounds
-    step = _STEP * (high - low) * np.where(draws + _STEP * (high - low) > high, -1.0, 1.0)
-    moved = draws[:, None] + step[:, None] * np.eye(len(low))
-    points = np.concatenate([draws[:, None], moved], axis=1)
-    every = points.reshape(-1, len(low))
-    blocks = readings([(i, every) for i in range(len(readings.problem.experiments))])
-    rows = [y.reshape(*points.shape[:2], y.shape[1]) for y in blocks]
-    return [np.moveaxis((y[:, 1:] - y[:, :1]) / step[..., None], 2, 0) for y in rows]
 
 
 def information(
@@ -154,7 +141,7 @@ def information(
     setting: Setting,
     shares: FloatArray,
     slopes: FloatArray,
-    loss: str,
+    loss: Loss,
     scatter: FloatArray,
 ) -> FloatArray:
     """Return the information (d, m, m) on the material in some series of a test of one specimen.
@@ -168,7 +155,7 @@ def information(
     scatter : (m,) variances of the specimen's own values about the material's.
     """
     sd = np.concatenate([series.sd for series in test.series])
-    setting = replace(setting, sd=sd / np.sqrt(_STUDENT if loss == "student" else 1.0))
+    setting = replace(setting, sd=sd / np.sqrt(STUDENT if loss == "student" else 1.0))
     noise = Noise(test, numbers, setting, shares)
     rows = noise(slopes[noise.rows].reshape(len(noise.rows), -1))
     grown = Growth(test, numbers, setting, noise)
