@@ -16,6 +16,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -130,6 +131,11 @@ def _law_name(law: WearLaw | None) -> str:
         return ""
     name, source = getattr(law, "name", "") or type(law).__name__, getattr(law, "source", "")
     return f"{name} {hashlib.sha256(source.encode()).hexdigest()[:12]}" if source else name
+
+
+def draws_file(law: int) -> str:
+    """Return what the draws of a fit's laws are called, by their numbers; 0 is its own."""
+    return f"draws_{law}.nc" if law else POSTERIOR
 
 
 def write_draws(

@@ -22,7 +22,7 @@ from ringwear_par.files.folders import (
     write_contents,
 )
 from ringwear_par.identification.definition.problem import BASE, body_of_wear
-from ringwear_par.identification.draws import write_draws
+from ringwear_par.identification.draws import draws_file, write_draws
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
 from ringwear_par.pictures.style import picture
@@ -41,9 +41,8 @@ def save(fit: FitResult, folder: Path) -> None:
         with atomic_hdf5(folder / READINGS) as file:
             _write(file, fit)
         for number, law in enumerate((fit, *fit.alternatives.values())):
-            name = f"draws_{number}.nc" if number else POSTERIOR
             readings, places = drawn_readings(law)
-            write_draws(folder / name, law.draws, law.versions, places, readings)
+            write_draws(folder / draws_file(number), law.draws, law.versions, places, readings)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
         if not fit.problem.scatters:
             del figures[SPECIMENS]

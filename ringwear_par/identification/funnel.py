@@ -20,6 +20,7 @@ from scipy.linalg import helmert
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.posterior import Layout, Scattering
+from ringwear_par.identification.sampling import standardised
 
 #: share of the draws, those of the largest scatter, that tell specimens' own values
 _LARGE = 0.25
@@ -57,13 +58,12 @@ class Funnel:
             groups[scattering.group.tobytes()].append(scattering)
         self._parts = [_contrasts(tuple(keys), draws) for keys in groups.values()]
         flat = self._upright(draws)
-        self._mean, self._sd = flat.mean(axis=0), np.maximum(flat.std(axis=0), 1e-300)
-        scaled = (flat - self._mean) / self._sd
-        longest = np.linalg.svd(scaled, full_matrices=False)[2][0]
+        scaled, longest = standardised(flat)
         self._pivot = int(np.argmax(np.abs(longest)))
-        self._ends = scaled[:, self._pivot].min(), scaled[:, self._pivot].max()
+        along, pivot = scaled[:, self._pivot], flat[:, self._pivot]
+        self._mean, self._sd = pivot.mean(), max(pivot.std(), 1e-300)
+        self._ends = along.min(), along.max()
         # as many draws count where they are rare, in the tails, as elsewhere
-        along = scaled[:, self._pivot]
         part = np.digitize(along, np.linspace(*self._ends, _PARTS))
         rare = np.bincount(part)[part][:, None] ** -0.5
         self._bend = np.linalg.lstsq(rare * self._powers(flat), rare * flat, rcond=None)[0]
@@ -71,7 +71,7 @@ class Funnel:
 
     def _powers(self, flat: FloatArray) -> FloatArray:
         """Return powers (s, 6) of the longest coordinate, within its range among the draws."""
-        scaled = (flat[:, self._pivot] - self._mean[self._pivot]) / self._sd[self._pivot]
+        scaled = (flat[:, self._pivot] - self._mean) / self._sd
         return np.vander(np.clip(scaled, *self._ends), _DEGREE + 1)
 
     def flat(self, theta: FloatArray) -> FloatArray:

@@ -268,6 +268,13 @@ class Growth:
         return root.T @ self.directions(rows, np.ones(rows.shape[1]))[node], root
 
 
+def drawn_nodes(logs: FloatArray, count: int, random: np.random.Generator) -> IntArray:
+    """Return draws (count,) of nodes by their log p (K, count), or by (K, 1) of all."""
+    chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
+    nodes: IntArray = (chance < random.random(count)).sum(axis=0)
+    return np.minimum(nodes, len(logs) - 1)
+
+
 def sides(test: Experiment) -> FloatArray:
     """Return (n,) -1 where the true value is at most the reading, 1 where at least, else 0."""
     parts = [np.zeros(s.n) if s.censored is None else s.censored for s in test.series]
@@ -361,11 +368,7 @@ class TestLikelihood:
         for part, (noise, grown), logs in zip(
             self.parts, self.noises, self.by_node(readings), strict=True
         ):
-            if random is None:
-                nodes = logs.argmax(axis=0)
-            else:
-                chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
-                nodes = np.minimum((chance < random.random(count)).sum(axis=0), len(logs) - 1)
+            nodes = logs.argmax(axis=0) if random is None else drawn_nodes(logs, count, random)
             rows, amplitudes = self._rows(noise, readings), np.zeros((count, len(grown.series)))
             white = noise(rows)
             for node in np.unique(nodes).tolist():

@@ -27,6 +27,13 @@ _CUTS, _A_PART = (0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0), 5
 _EVIDENCE_DRAWS = 8192
 
 
+def standardised(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return draws (s, d) less their mean, over their sd, and their longest direction (d,)."""
+    spread = draws.std(axis=0)
+    scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    return scaled, np.linalg.eigh(scaled.T @ scaled)[1][:, -1]
+
+
 class Nearby:
     """A density near that of draws (s, d): a mixture of t distributions, one behind the other.
 
@@ -35,10 +42,8 @@ class Nearby:
     """
 
     def __init__(self, draws: FloatArray) -> None:
-        d = draws.shape[1]
-        spread = draws.std(axis=0)
-        scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-        along = scaled @ np.linalg.svd(scaled, full_matrices=False)[2][0]
+        d, (scaled, longest) = draws.shape[1], standardised(draws)
+        along = scaled @ longest
         cuts = np.quantile(along, _CUTS)
         parts = [draws[(along >= a) & (along <= b)] for a, b in itertools.pairwise(cuts)]
         parts = [draws, *(part for part in parts if len(part) > _A_PART * d)]
@@ -155,9 +160,9 @@ def sample(
     sampler = emcee.EnsembleSampler(walkers, d, log_p, moves=moves, vectorize=True)
     sampler.random_state = np.random.RandomState(int(random.integers(2**31))).get_state()
     state = emcee.State(start)
+    steps = _STEPS if want else min(max(_SHORT, _EACH_SHORT * d), _MOST_SHORT)
     while True:
-        steps = _STEPS if want else min(max(_SHORT, _EACH_SHORT * d), _MOST_SHORT)
-        state = sampler.run_mcmc(state, steps, thin_by=1, skip_initial_state_check=True)
+        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
         chain = sampler.get_chain()[_THIN - 1 :: _THIN]
         time = correlation_time(chain)
         first = min(int(2.0 * time), len(chain) // 2)

@@ -161,16 +161,23 @@ class _Search:
         return [TestLikelihood(test, setting, self._shares) for test, setting in pairs]
 
     def _log_p(self, every: Sequence[FloatArray]) -> FloatArray:
-        """Return log p (P,) of all tests by their readings (P, n), NaN without a history."""
-        logs = [f(y) for f, y in zip(self._likelihoods, every, strict=True)]
-        total: FloatArray = np.sum(logs, axis=0)
-        return total
+        """Return log p (tests, P) by the readings (P, n) of all, NaN without a history."""
+        return np.array([f(y) for f, y in zip(self._likelihoods, every, strict=True)])
+
+    def _read(self, x: FloatArray, *, finer: int = 1) -> list[FloatArray]:
+        """Return readings (P, n) of all tests at unknowns (P, tests, m), by histories."""
+        readings = self.readings
+        return readings([(i, x[:, i]) for i in self._tests], steps=finer * readings.steps)
+
+    def _emulated(self, x: FloatArray) -> list[FloatArray]:
+        """Return readings (P, n) of all tests at unknowns (P, tests, m), by emulators."""
+        return [emulator(x[:, i]) for i, emulator in enumerate(self._emulators)]
 
     def try_draws(self) -> _Tried:
         """Return some of the draws with their histories."""
         some = self._random.permutation(np.unique(self._draws, axis=0))[:_TRIED]
         x = self._layout.of_tests(some)
-        tried = _Tried(x, self.readings([(i, x[:, i]) for i in self._tests]))
+        tried = _Tried(x, self._read(x))
         if not np.isfinite(np.concatenate(tried.readings, axis=1)).all(axis=1).any():
             name, reason = self.readings.problem.name, self.readings.reason
             raise ComputationError(f"{name}: no history at any draw: {reason}")
@@ -184,36 +191,26 @@ class _Search:
         """
         x, readings = self._x, self.readings
         middle = np.median(x, axis=0)
-        there = readings([(i, middle[i : i + 1]) for i in self._tests])
-        if first or not np.isfinite(np.concatenate(there, axis=1)).all():
-            middle = tried.x[np.nanargmax(self._log_p(tried.readings))]
+        if first or not np.isfinite(np.concatenate(self._read(middle[None]), axis=1)).all():
+            middle = tried.x[np.nanargmax(self._log_p(tried.readings).sum(axis=0))]
         before, problem = self._settings, readings.problem
         if self._emulators:
-            some = x[:: max(1, len(x) // 256)]
-            self._likelihoods = self._at_settings()
+            some = self._emulated(x[:: max(1, len(x) // 256)])
             self._settings = [
-                likelihood.with_times_that_count(emulator(some[:, i]))
-                for i, (likelihood, emulator) in enumerate(
-                    zip(self._likelihoods, self._emulators, strict=True)
-                )
+                likelihood.with_times_that_count(y)
+                for likelihood, y in zip(self._at_settings(), some, strict=True)
             ]
         self._settings = settings_at(readings, self._settings, middle, self._shares, first=first)
         self.settled = self.power == 1.0 and all(map(_are_close, before, self._settings))
         self._likelihoods = self._at_settings()
         if readings.problem is not problem:  # friction changed
             self._known = {}
-            tried.readings = readings([(i, tried.x[:, i]) for i in self._tests])
+            tried.readings = self._read(tried.x)
 
     def is_right(self, tried: _Tried) -> bool:
         """Tell whether emulators and time steps are right where the draws are."""
-        off = np.array(
-            [
-                likelihood(y) - likelihood(self._emulators[i](tried.x[:, i]))
-                for i, (likelihood, y) in enumerate(
-                    zip(self._likelihoods, tried.readings, strict=True)
-                )
-            ]
-        )
+        true = self._log_p(tried.readings)
+        off = true - self._log_p(self._emulated(tried.x))
         self._error = float(np.nanstd(off.sum(axis=0)))
         self._worst = int(np.argmax(np.nanstd(off, axis=1)))
         x = self._x
@@ -227,13 +224,11 @@ class _Search:
         lost = np.isnan(off.sum(axis=0)).mean()
         if self._error >= _RIGHT or at_faces >= _AT_FACES or lost >= _LOST:
             return False
-        readings = self.readings
-        finer = readings([(i, tried.x[:, i]) for i in self._tests], steps=2 * readings.steps)
-        change = self._log_p(finer) - self._log_p(tried.readings)
-        self._step_error = float(np.nanstd(change))
+        finer = self._read(tried.x, finer=2)
+        self._step_error = float(np.nanstd((self._log_p(finer) - true).sum(axis=0)))
         if self._step_error < _MOST_SHIFT:
             return True
-        readings.steps, self._known, tried.readings = 2 * readings.steps, {}, finer
+        self.readings.steps, self._known, tried.readings = 2 * self.readings.steps, {}, finer
         return False
 
     def emulate(self, tried: _Tried) -> None:
@@ -267,8 +262,8 @@ class _Search:
             emulators[o], left_out = emulate(boxes[o], points, every, sd, near, _GOOD)
             for place, i in enumerate(tests):
                 without[i] = left_out[place * len(tried.x) : (place + 1) * len(tried.x)]
-        true = self._log_p(tried.readings)
-        trusted = _trusted(true, self._log_p(without) - true, self.power)
+        true = self._log_p(tried.readings).sum(axis=0)
+        trusted = _trusted(true, self._log_p(without).sum(axis=0) - true, self.power)
         if self.power < 1.0:
             self._before = self.power, self._draws, self._density
         self.power = max(self.power, min(trusted, max(_LEAP * self.power, _FIRST_LEAP)))
@@ -315,9 +310,8 @@ class _Search:
         problem, random = self.readings.problem, self._random
         rows = random.choice(len(self._draws), _WEIGHED, replace=False)
         x = self._layout.of_tests(self._draws[rows])
-        true = self.readings([(i, x[:, i]) for i in self._tests])
-        emulated = [emulator(x[:, i]) for i, emulator in enumerate(self._emulators)]
-        logs = self._log_p(true) - self.power * self._log_p(emulated)
+        true, emulated = (self._log_p(y).sum(axis=0) for y in (self._read(x), self._emulated(x)))
+        logs = true - self.power * emulated
         logs[~np.isfinite(logs)] = -np.inf
         weights = np.exp(logs - logsumexp(logs))
         self.effective = float(1.0 / (weights @ weights))

@@ -1,1 +1,1 @@
-"""What is known of a specimen while its test runs: a bank of histories, weighed by readings."""
+"""What is known of a specimen while its test runs: draws of a fit, weighed by readings."""

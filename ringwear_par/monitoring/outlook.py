@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import fdtrc, logsumexp
+from scipy.special import fdtrc
 from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.problem import Experiment, Series, body_of_wear
+from ringwear_par.identification.likelihood import drawn_nodes
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.histories import part_of
 from ringwear_par.prediction.prediction import times_at
@@ -56,8 +57,7 @@ def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArr
         covariance = np.linalg.pinv(precision, hermitian=True)
         names = [test.series[i].name for i in growth.series]
         logs = growing.get(names[0] if names else "", growth.log_constants[:, None])
-        chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
-        nodes = np.minimum((chance < random.random(len(v))).sum(axis=0), len(logs) - 1)
+        nodes = drawn_nodes(logs, len(v), random)
         off.append(np.einsum("sqr,sr->sq", (covariance @ pull)[nodes], v))
         spread.append(covariance[nodes].mean(axis=0))
         if here.any() and test.series[part[0]].sd_fitted:

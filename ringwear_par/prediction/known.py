@@ -18,6 +18,7 @@ from ringwear_par.identification.draws import (
     NEXT,
     Draws,
     conditions_of,
+    draws_file,
     law_names,
     read_draws,
 )
@@ -58,7 +59,7 @@ def fit_knowledge(fit: "FitResult | Path | str") -> FitKnowledge:
     if not path.is_file():
         state = f"holds no {FIT}" if folder.is_dir() else "is not a folder"
         raise InputError(f"{folder}: {state}; must be the folder of a fit (ringwear fit -o)")
-    draws = read_draws(folder / "draws.nc")
+    draws = read_draws(folder / draws_file(0))
     try:
         outcome = json.loads(read_text(path))
         if (*outcome["parameters"],) != draws.keys:
@@ -67,7 +68,7 @@ def fit_knowledge(fit: "FitResult | Path | str") -> FitKnowledge:
         names = [law for law, entry in outcome["alternatives"].items() if "error" not in entry]
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{path}: is not the outcome of a fit, or is damaged") from error
-    laws = {law: read_draws(folder / f"draws_{i}.nc") for i, law in enumerate(names, start=1)}
+    laws = {law: read_draws(folder / draws_file(i)) for i, law in enumerate(names, start=1)}
     return FitKnowledge(str(folder), draws, warnings, laws)
 
 

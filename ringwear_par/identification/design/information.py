@@ -26,6 +26,7 @@ from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import prior_sd
 from ringwear_par.identification.likelihood import Growth, Noise, Setting
 from ringwear_par.identification.noise import STUDENT
+from ringwear_par.identification.sampling import standardised
 from ringwear_par.identification.setting import random_wear
 
 #: draws at which readings are compared, and of priors from which these are chosen
@@ -97,11 +98,9 @@ def _along(material: FloatArray) -> FloatArray:
 
     Where a posterior bends, readings at its mean alone would promise too much.
     """
-    spread = material.std(axis=0)
-    scaled = (material - material.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    along = scaled @ np.linalg.eigh(scaled.T @ scaled)[1][:, -1]
+    scaled, longest = standardised(material)
     places = (2 * np.arange(_DRAWS) + 1) * len(material) // (2 * _DRAWS)
-    return material[np.argsort(along, kind="stable")[places]]
+    return material[np.argsort(scaled @ longest, kind="stable")[places]]
 
 
 def informations(
