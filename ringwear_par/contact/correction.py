@@ -7,7 +7,6 @@ cent of the error, and within a history the pressures of the step before are mos
 """
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from ringwear_par.batched import concat
 from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.problem import ContactInputs, ContactState, WarmStart
 from ringwear_par.errors import ComputationError, HistoriesError
-from ringwear_par.wear.increment import WearIncrement
 
 #: errors at which pressures count as those of the collocated equations, relative to themselves or
 #: to the mean pressure, whichever is larger: within steps, the next of which corrects what this one
@@ -24,25 +22,6 @@ from ringwear_par.wear.increment import WearIncrement
 _NEAR_ENOUGH, _EXACT = 1e-2, 1e-4
 #: how often to correct at most: five times did for the worst of 200 random cases
 _CORRECTIONS = 10
-
-
-class Tangents(Protocol):
-    """Derivatives of contact solutions, which take part in each correction."""
-
-    def solved(
-        self, wear: WearIncrement | None, solution: ContactState, at: FloatArray,
-        histories: IntArray,
-    ) -> None:  # fmt: skip
-        """Differentiate a solution on the factor that its solver has now.
-
-        Parameters
-        ----------
-        wear : of the implicit step that the contact is of, if any.
-        solution : the solution.
-        at : (B, n) float, MPa, the pressures at which it was corrected.
-        histories : (h,) int, the histories that were solved.
-        """
-        ...
 
 
 def _unsettled(error: float, element: int, largest_allowed: float) -> str:
@@ -106,7 +85,6 @@ class CorrectedContacts:
         *,
         exact: bool = False,
         already_solved: tuple[BoolArray, ContactState] | None = None,
-        tangents: Tangents | None = None,
     ) -> ContactState:
         """Return the contacts at given forces or approaches.
 
@@ -116,16 +94,15 @@ class CorrectedContacts:
         pressure_guess : (B, n) float, MPa, pressures near the solution.
         exact : whether to correct until no more than 1e-4 is left.
         already_solved : which histories have their solution already, and it.
-        tangents : take every correction.
 
         Raises
         ------
         ComputationError : one was not solved, or not corrected well enough; HistoriesError of
             several histories.
         """
-        gap, wear, at = inputs.gap, inputs.wear, pressure_guess
+        gap, wear = inputs.gap, inputs.wear
         largest_allowed = _EXACT if exact else _NEAR_ENOUGH
-        count, shift, not_converged = len(gap), self._shift(at), self._every
+        count, shift, not_converged = len(gap), self._shift(pressure_guess), self._every
         iterations, elements = np.zeros((2, count), dtype=np.int64)
         residual, errors = np.zeros((2, count))
         if already_solved is not None:
@@ -142,9 +119,6 @@ class CorrectedContacts:
                 wear=wear,
                 histories=not_converged,
             )
-            if tangents is not None:
-                tangents.solved(wear, state, at, not_converged)
-                at = state.pressure
             before, shift = shift, self._shift(state.pressure)
             error, element = self._errors(state, before, shift, largest_allowed)
             if first_of_all:
@@ -207,9 +181,7 @@ class CorrectedContacts:
         carrying = inner(area, touching.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.maximum(p, np.divide(solution.force, carrying)[:, None])
-            errors = np.where(
-                touching, np.abs(self.engine.derivatives.response(after - before)) / scale, 0.0
-            )
+            errors = np.where(touching, np.abs(self.engine.response(after - before)) / scale, 0.0)
         worst = errors.argmax(axis=1)
         # where nothing touches the gap must be that of no pressure
         response = np.where(carrying > 0.0, errors[self._every, worst], np.inf)

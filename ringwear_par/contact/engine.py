@@ -6,7 +6,7 @@ are all digits of its solution, whoever the others are. PETSc's methods, whose l
 mix histories, have them one after another.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -25,7 +25,6 @@ from ringwear_par.contact.problem import (
     part,
 )
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
-from ringwear_par.contact.solution_derivatives import SolutionDerivatives
 from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.errors import ComputationError, HistoriesError, InputError
 from ringwear_par.options import CONTACT_PREFIX, set_from_options
@@ -130,8 +129,6 @@ class ContactEngine:
         self._problem = ContactProblem(compliances, which)
         self.loops = self._problem.loops
         self._hessians = Hessians(compliances, which)
-        #: of the last solutions
-        self.derivatives = SolutionDerivatives(self._problem, self._hessians)
         self._callbacks = _Callbacks(self._problem, self._hessians)
         #: (B,) iterations of the last solutions
         self._iterations = np.zeros(len(which), dtype=np.int64)
@@ -243,6 +240,26 @@ class ContactEngine:
             p, gap, problem.approaches.copy(), inner(problem.area, p), self._iterations.copy(),
             residual,
         )  # fmt: skip
+
+    def response(self, gap: FloatArray, histories: IntArray | None = None) -> FloatArray:
+        """Return about the changes of the last pressures, MPa, with small growths of gaps.
+
+        Of (..., B, n) mm, or (..., h, n) of some histories, to some 1e-2 of them: for estimates of
+        errors. Linear, on the inverses that solutions ended with: elements in contact and forces or
+        approaches, whichever were given, stay so, and so do the sides of kinks; the wear of the
+        step is included.
+        """
+        problem = self._problem
+        histories = problem.every if histories is None else histories
+        return self._hessians.responses(histories, gap, problem.forces is not None)
+
+    def propagate_errors(self, *errors: Any) -> IntArray:
+        """Propagate errors of steps where that is diagonal, and return the other histories.
+
+        Responses are those of ``response``. For the errors see ``Hessians.propagate_errors``.
+        """
+        problem = self._problem
+        return self._hessians.propagate_errors(problem.every, problem.forces is not None, *errors)
 
     def _residuals(self, histories: IntArray, apart: BoolArray) -> FloatArray:
         """Return natural KKT residuals of all, as Newton's method saw them last if these will do.

@@ -16,22 +16,20 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.functions.inputs import CaseInputs, case_inputs
-from ringwear_par.history.derivatives.keys import check_derivatives
+from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import (
-    D_HISTORIES,
-    HISTORIES,
-    LAYER_HISTORIES,
-    Variable,
-    derivative_of,
-    layer_names,
-)
+from ringwear_par.results.variables import HISTORIES, LAYER_HISTORIES, Variable, layer_names
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 #: steps between stored states where only the last state is needed
 _RARELY = 10**9
+#: variables without derivatives: counts, and where histories are at
+_NOT_SMOOTH = ("time", "contact_iterations")
+#: difference of an input over itself, or over 1 of its unit where it is 0; of moduli, since
+#: compliances of near moduli follow one reference, and those of others another one
+_STEP, _STEP_OF_MODULI = 1e-5, 1e-3
 
 
 class Output(NamedTuple):
@@ -54,12 +52,16 @@ class Output(NamedTuple):
         when = "last step" if math.isinf(self.time) else f"time {self.time:g} s"
         return f"{self.variable.meaning}, at the {when}"
 
-    def at(self, times: FloatArray, values: FloatArray) -> Any:
-        """Return it of values whose last axis is that of the stored states, at some times (s)."""
+    def of(self, result: Result | RingwearError) -> Any:
+        """Return it of a history, a number or (states,); NaN of one that failed."""
+        if not isinstance(result, Result):
+            return np.nan
+        name, times = self.variable.name, np.asarray(result.histories["time"])
+        values = np.asarray((result.histories if name in HISTORIES else result.layers)[name])
         if self.whole:
             return values
         row = int(np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME)))
-        return values[..., min(row, len(times) - 1)]
+        return values[min(row, len(times) - 1)]
 
 
 def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[Output, ...]:
@@ -81,7 +83,7 @@ def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[O
     layer_histories = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
     variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in layer_histories}
     if derivatives:
-        variables = {n: v for n, v in variables.items() if derivative_of(v).name in D_HISTORIES}
+        variables = {n: v for n, v in HISTORIES.items() if n not in _NOT_SMOOTH}
     outputs: list[Output] = []
     faults: list[str] = []
     for text in texts:
@@ -206,60 +208,113 @@ class Function:
         InputError : inputs that are missing, unknown, no numbers or do not broadcast together.
         """
         rows, shape = self._inputs.rows(values)
-        outcomes = self._outcomes(rows, comm)
-        self.errors = {n: e for n, e in enumerate(outcomes) if isinstance(e, RingwearError)}
-        outputs = {output.text: _stacked(output, outcomes, shape) for output in self._outputs}
-        if not self._derivatives:
-            return outputs
-        derivatives = {
-            (output.text, name): _stacked(output, outcomes, shape, row)
-            for output in self._outputs
-            for row, name in enumerate(self._inputs.names)
-        }
-        return outputs, derivatives
+        points = np.reshape(np.array(rows, dtype=float), (len(rows), 1, len(self._inputs.names)))
+        if self._derivatives:
+            steps = self._steps(points[:, 0])
+            moved = points + steps[:, None] * np.eye(points.shape[2])
+            points = np.concatenate([points, moved], axis=1)
+        count, width, inputs = points.shape
+        cases = [self._case(row) for row in points.reshape(count * width, inputs).tolist()]
+        ends = self._step_ends(cases, comm, width) if self._derivatives else None
+        outcomes = self._outcomes(cases, comm, ends)
+        errors = enumerate(outcomes)
+        self.errors = {n // width: e for n, e in errors if isinstance(e, RingwearError)}
+        outputs, derivatives = {}, {}
+        for output in self._outputs:
+            states = _stacked(output, outcomes)
+            size = (*shape, *states.shape[1:])
+            states = states.reshape(count, width, *states.shape[1:])
+            outputs[output.text] = states[:, 0].reshape(size)[()]
+            for j, name in enumerate(self._inputs.names if self._derivatives else ()):
+                moved = np.moveaxis(states[:, 1 + j] - states[:, 0], 0, -1)
+                slope = np.moveaxis(moved / steps[:, j], -1, 0)
+                derivatives[output.text, name] = slope.reshape(size)[()]
+        return (outputs, derivatives) if self._derivatives else outputs
+
+    def _steps(self, points: FloatArray) -> FloatArray:
+        """Return the differences (cases, inputs) by which inputs are moved, within their bounds."""
+        is_modulus = [name.endswith("young") for name in self._inputs.names]
+        steps = np.where(is_modulus, _STEP_OF_MODULI, _STEP) * np.where(
+            points == 0.0, 1.0, np.abs(points)
+        )
+        ends = [entry["bounds"][1] for entry in self._inputs.schema().values()]
+        most = np.array([np.inf if end is None else end for end in ends])
+        return np.where(points + steps > most, -steps, steps)
+
+    def _case(self, row: Sequence[float]) -> Case | InputError:
+        try:
+            return self._inputs.case(row)
+        except InputError as error:
+            return error
 
     def _outcomes(
-        self, rows: Sequence[Sequence[float]], comm: "MPI.Comm | None"
+        self, cases: Sequence[Any], comm: "MPI.Comm | None", ends: Sequence[Any] | None = None
     ) -> list[Result | RingwearError]:
-        """Return the result of each case, or why it has none. Collective on comm."""
-        from ringwear_par.studies.execution.many import simulate_all  # starts MPI
+        """Return the result of each case, or why it has none. Collective on comm.
 
-        outcomes: list[Any] = []
-        for row in rows:
-            try:
-                outcomes.append(self._inputs.case(row))
-            except InputError as error:
-                outcomes.append(error)
-        cases = [(n, case) for n, case in enumerate(outcomes) if isinstance(case, Case)]
-        keys = self._inputs.names if self._derivatives else ()
-        results = simulate_all([case for _, case in cases], comm, derivatives=keys)
-        for (n, _), result in zip(cases, results, strict=True):
+        Parameters
+        ----------
+        cases : or errors, which stay.
+        ends : s, of the steps of each case; None: as the cases say.
+        """
+        from mpi4py import MPI  # starts MPI
+
+        from ringwear_par.studies.execution.many import results_of
+
+        outcomes = list(cases)
+        numbers = [n for n, case in enumerate(cases) if isinstance(case, Case)]
+        step_times = None if ends is None else [ends[n] for n in numbers]
+        world = MPI.COMM_WORLD if comm is None else comm
+        results = results_of([outcomes[n] for n in numbers], world, step_times=step_times)
+        for n, result in zip(numbers, results, strict=True):
             outcomes[n] = result if isinstance(result, Result) else result.error
         return outcomes
 
+    def _step_ends(self, cases: list[Any], comm: "MPI.Comm | None", width: int) -> list[Any] | None:
+        """Return the ends of the steps that the first of each ``width`` cases makes, s, for all.
 
-def _stacked(
-    output: Output,
-    outcomes: Sequence[Result | RingwearError],
-    shape: Sequence[int],
-    row: int | None = None,
-) -> Any:
-    """Return an output of all cases, or its derivative with respect to an input, by its row."""
-    name = output.variable.name
-    values: dict[int, Any] = {}
-    for n, result in enumerate(outcomes):
-        if isinstance(result, Result):
-            if row is not None:
-                states = result.derivatives[derivative_of(output.variable).name][row]
+        What error control would change between them is no derivative. None of fixed steps; cases
+        whose first one fails are replaced by why. Collective on comm.
+        """
+        if not any(isinstance(case, Case) and case.time.adaptive for case in cases):
+            return None
+        every_step = {"output.every": 1, "output.times": None}
+        alone = [c.replace(every_step) if isinstance(c, Case) else c for c in cases[::width]]
+        ends: list[Any] = []
+        for n, result in enumerate(self._outcomes(alone, comm)):
+            if isinstance(result, Result):
+                ends += [result.histories["time"][1:].tolist()] * width
             else:
-                states = (result.histories if name in HISTORIES else result.layers)[name]
-            values[n] = output.at(result.histories["time"], np.asarray(states))
-    empty = (0,) if output.whole else ()
-    width = max((np.shape(value) for value in values.values()), default=empty)
-    stacked = np.full((len(outcomes), *width), np.nan)
-    for n, value in values.items():
+                cases[n * width : (n + 1) * width] = [result] * width
+                ends += [None] * width
+        return ends
+
+
+def _stacked(output: Output, outcomes: Sequence[Result | RingwearError]) -> FloatArray:
+    """Return an output of all cases, (cases,) or (cases, states), NaN behind their last states."""
+    values = [output.of(result) for result in outcomes]
+    width = max([(0,) if output.whole else (), *map(np.shape, values)])
+    stacked = np.full((len(values), *width), np.nan)
+    for n, value in enumerate(values):
         stacked[(n, *map(slice, np.shape(value)))] = value
-    return stacked.reshape((*shape, *width))[()]
+    return stacked
+
+
+def _refuse_kinks(case: Case, names: Sequence[str]) -> None:
+    """Refuse inputs on which histories do not depend smoothly: these have no derivatives."""
+    if case.follows_wear:
+        raise InputError(
+            'function: mesh.geometry = "updated": has no derivatives; must be "fixed" with them'
+        )
+    allowed = smooth_keys(case)
+    faults = [
+        f"function: inputs: {legible(name)}: has no derivatives, as the history does not depend on "
+        f"it smoothly; must be one of {', '.join(allowed)}"
+        for name in names
+        if name not in allowed
+    ]
+    if faults:
+        raise InputError(*faults)
 
 
 def function(
@@ -300,5 +355,5 @@ def function(
     read = read_outputs(base, outputs, derivatives)
     changed = case_inputs(base, inputs, storing(base, read))
     if derivatives:
-        check_derivatives(base, inputs)
+        _refuse_kinks(base, inputs)
     return Function(changed, read, derivatives)

@@ -148,10 +148,6 @@ class Batch:
         with together(ensemble.comm):
             snapshots = self._within(before, end, accepted)
         state = step.state
-        sensitivity = physics.sensitivity
-        if state.tangent is not None and sensitivity is not None and sensitivity.moving_ends:
-            moving = accepted & ~decision.complete
-            state = replace(state, tangent=state.tangent.at_interfaces(moving))
         if not accepted.all():
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)

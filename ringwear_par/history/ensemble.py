@@ -42,7 +42,6 @@ class Ensemble:
     pair: ContactPair | Sequence[ContactPair] | None
     start: Start | None
     observers: Sequence[Observer]
-    derivatives: tuple[str, ...]
     step_times: Sequence[Sequence[float]] | None
     paces: Sequence[FloatArray] | None
     #: of all cases
@@ -80,7 +79,7 @@ class Ensemble:
         pair = self.pairs(numbers)
         if pair is None:
             pair = assemble(cases[0], self.comm) if geometry is None else geometry.unworn()
-        physics = Physics.of(cases, pair, derivatives=self.derivatives)
+        physics = Physics.of(cases, pair)
         physics = replace(physics, pair_is_shared=self.pair is not None)
         contacts, control = physics.contacts(), self.control(numbers)
         try:

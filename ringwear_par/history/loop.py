@@ -56,7 +56,6 @@ def simulate(
     start: Start | None = None,
     observers: Sequence[Observer] = (),
     most_together: int | None = None,
-    derivatives: Sequence[str] = (),
     step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
 ) -> Outcome:
@@ -74,23 +73,19 @@ def simulate(
     observers : called with all new states, in this order.
     most_together : histories that step at a time: where half of them have ended, others begin.
         None: all.
-    derivatives : keys that states have derivatives with respect to; not of one that continues.
     step_times : s, ends of the steps of each history, its last one that of its case; None: each
         steps as its case says.
     paces : (2, steps) each, with ``step_times``, factors on the rates of wear of lower and upper
-        in each of these steps: wear that is random; None: 1. Not with derivatives.
+        in each of these steps: wear that is random; None: 1.
 
     Raises
     ------
-    ValueError : steps that are given do not increase to the ends of the cases, or a history
-        continues with derivatives.
+    ValueError : steps that are given do not increase to the ends of the cases.
     """
-    if start is not None and derivatives:
-        raise ValueError("a history that continues has no derivatives: they are not stored")
     for times, case in () if step_times is None else zip(step_times, cases, strict=True):
         step_times_of(times, case)
     ensemble = Ensemble(
-        cases, comm, pair, start, observers, tuple(derivatives), step_times, paces,
+        cases, comm, pair, start, observers, step_times, paces,
         method_of(cases[0].time.scheme),
     )  # fmt: skip
     batches: list[Batch] = []
@@ -119,7 +114,6 @@ def simulate_one(
     pair: ContactPair | None = None,
     start: Start | None = None,
     observers: Sequence[Observer] = (),
-    derivatives: Sequence[str] = (),
     step_times: Sequence[float] | None = None,
 ) -> None:
     """Step one wear history, see ``simulate``. Collective on comm.
@@ -130,7 +124,7 @@ def simulate_one(
     UnfitError : the case's own numbers do not go together, as its first contact shows.
     """
     outcome = simulate(
-        [case], comm, pair=pair, start=start, observers=observers, derivatives=derivatives,
+        [case], comm, pair=pair, start=start, observers=observers,
         step_times=None if step_times is None else [step_times],
     )  # fmt: skip
     for error in outcome.failures.values():

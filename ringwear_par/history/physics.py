@@ -26,7 +26,6 @@ from ringwear_par.contact.problem import ContactInputs
 from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral, mean
@@ -60,8 +59,6 @@ class Physics:
     layer_ends: tuple[FloatArray | None, ...]
     #: (n, n) of the pressures, and of the rates, of non-local laws of lower and upper
     averages: tuple[FloatArray | None, ...] = (None, None)
-    #: how the numbers enter that states have derivatives with respect to; None without derivatives
-    sensitivity: Sensitivity | None = None
     #: (B, n) mm, by which gaps are smaller than those of the worn profiles, see ``State``
     gap_offset: FloatArray | None = None
     #: how often elements were assembled anew to follow the wear, and the time and memory of it
@@ -85,7 +82,6 @@ class Physics:
         pairs: ContactPair | Sequence[ContactPair],
         *,
         known: Mapping[OperatorKey, ContactCompliance] = MappingProxyType({}),
-        derivatives: Sequence[str] = (),
     ) -> Self:
         """Return the physics of cases before any wear. Not collective.
 
@@ -95,7 +91,6 @@ class Physics:
             the wear.
         pairs : contact pair of the cases, or one of each.
         known : compliances that are known already.
-        derivatives : keys that states are to have derivatives with respect to.
 
         Raises
         ------
@@ -109,7 +104,6 @@ class Physics:
             pairs,
             Compliances.of(pairs, cases, known),
             ends,
-            sensitivity=Sensitivity(derivatives, inputs.cases, pairs) if derivatives else None,
         )
         return physics._along_slopes()
 
@@ -257,11 +251,8 @@ class Physics:
 
     @property
     def _rates_stay(self) -> bool:
-        """Whether an increment serves all steps.
-
-        Not with derivatives: a linearisation needs the state of its own stage.
-        """
-        return self.inputs.rates_stay and self.sensitivity is None
+        """Whether an increment serves all steps."""
+        return self.inputs.rates_stay
 
     def increment(
         self,
@@ -434,7 +425,7 @@ class Physics:
 
     def take(self, histories: IntArray) -> Self:
         """Return the physics of some of the histories."""
-        sensitivity, offset = self.sensitivity, self.gap_offset
+        offset = self.gap_offset
         return replace(
             self,
             inputs=self.inputs.take(histories),
@@ -443,7 +434,6 @@ class Physics:
             layer_ends=tuple(
                 None if ends is None else ends[:, histories] for ends in self.layer_ends
             ),
-            sensitivity=None if sensitivity is None else sensitivity.take(histories),
             gap_offset=None if offset is None else offset[histories],
         )
 
@@ -453,7 +443,6 @@ class Physics:
             (*self.inputs.cases, *other.inputs.cases),
             (*self.pairs, *other.pairs),
             known={**self.compliances.known, **other.compliances.known},
-            derivatives=() if self.sensitivity is None else self.sensitivity.keys,
         )
 
 

@@ -11,7 +11,6 @@ from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.states import check_interpenetration, check_state
-from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
 
 
@@ -32,13 +31,8 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     """
     time, shape = np.zeros(len(physics.inputs.cases)), physics.inputs.shape
     wear = np.zeros((2, *shape))
-    step_tangent = (
-        None if physics.sensitivity is None else StepTangent(physics, contacts, None, (time, time))
-    )
     try:
-        contact = contacts.solve(
-            physics.contact_inputs(time, wear), np.zeros(shape), exact=True, tangents=step_tangent
-        )
+        contact = contacts.solve(physics.contact_inputs(time, wear), np.zeros(shape), exact=True)
     except HistoriesError:
         raise
     except ComputationError as error:
@@ -49,7 +43,6 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     state = State(
         time, wear, worn, np.zeros_like(time), np.zeros_like(time), contact, contact.approach,
         rates, np.zeros(shape),
-        tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.full(worn.shape, np.inf) if physics.inputs.layered else None,
     )  # fmt: skip
     return check_state(physics.inputs, state)

@@ -10,48 +10,6 @@ from ringwear_par.contact.problem import ContactState, WarmStart
 
 
 @dataclass(frozen=True)
-class Tangent:
-    """Derivatives of a state.
-
-    Of histories with layers the last of P rows is with respect to the end of the step, which other
-    numbers may move: it is where an element comes to the end of its layer.
-    """
-
-    #: (2, P, ..., n) float, mm over each number's unit
-    wear: FloatArray = field(metadata=along(2))
-    #: (P, ...) float, N mm
-    energy: FloatArray = field(metadata=along(1))
-    #: (P, ..., n) float, MPa and mm, of the contact
-    pressure: FloatArray = field(metadata=along(1))
-    gap: FloatArray = field(metadata=along(1))
-    #: (P, ...) float, mm
-    approach: FloatArray = field(metadata=along(1))
-    #: (P, ...) float, s, of the time of the state
-    time: FloatArray = field(metadata=along(1))
-    #: (P, ...) float, s, of the end of the step if it is where the first element is at the end of
-    #: its layer; 0 where none is
-    interface: FloatArray = field(metadata=along(1))
-
-    __repr__ = short_repr
-
-    def at_interfaces(self, moving: BoolArray) -> "Tangent":
-        """Return the derivatives, of histories ``moving`` (B,) at the moving ends of interfaces."""
-        time = np.where(moving, self.interface, 0.0)
-
-        def at_end(values: FloatArray, rows: int) -> FloatArray:
-            last = np.take(values, [-1], axis=rows)
-            shift = time.reshape(*time.shape, *(1,) * (values.ndim - rows - 2))
-            changed = values + shift * last
-            changed[(slice(None),) * rows + (-1,)] = 0.0
-            return changed
-
-        return Tangent(
-            at_end(self.wear, 1), at_end(self.energy, 0), at_end(self.pressure, 0),
-            at_end(self.gap, 0), at_end(self.approach, 0), time, np.zeros_like(time),
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class State:
     """B wear histories on one contact pair, each at an instant of its own: the physics alone."""
 
@@ -80,8 +38,6 @@ class State:
     #: (B, n) float, mm, by which gaps are smaller than those of the worn profiles since slopes have
     #: turned, see ``moving_geometry``; None where elements do not follow the wear
     gap_offset: FloatArray | None = None
-    #: derivatives; None where there are none
-    tangent: Tangent | None = None
     #: (2, B) float, s, when wear first got through all layers of lower and upper; infinite where it
     #: has not; None without layers
     through: FloatArray | None = field(default=None, metadata=along(1))

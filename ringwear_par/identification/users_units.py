@@ -1,6 +1,7 @@
 """Numbers of keys in the units of their users, and as specific wear rates."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,6 @@ def _share(case: Case, body: str, threshold: float | None) -> float | None:
     if not isinstance(mu, float) or not isinstance(getattr(law, "k", None), float):
         return None
     if threshold is not None:
-        law = law.with_parameter("p0", threshold)
+        law = replace(law, p0=threshold)
     ratio = getattr(law, "per_energy", lambda mu: None)(mu)
     return None if ratio is None else round(float(ratio * mu / law.k), 12)

@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError, ValidityWarning, counted, legible
 from ringwear_par.files.folders import FIT
 from ringwear_par.files.text import read_text
-from ringwear_par.history.derivatives.keys import differentiable
+from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.identification.draws import (
     CONDITIONS,
     MATERIAL,
@@ -90,7 +90,7 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str, dashes: str = 
         faults.append(
             f'{dashes}of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}'
         )
-    laws, missing = law_names(case), {*draws.keys} - differentiable(case).keys()
+    laws, missing = law_names(case), {*draws.keys} - smooth_keys(case).keys()
     for table, law in draws.laws.items():
         keys = [key for key in draws.keys if key.startswith(f"{table}.")]
         if keys and laws.get(table, "") != law:

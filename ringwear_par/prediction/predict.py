@@ -157,7 +157,8 @@ def _predicted(case: Case, drawn: Prediction, comm: MPI.Comm) -> Prediction:
             errors.append(at_values)
 
     def compute(draws: Collection[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
-        outcomes = results_of([cases[d] for d in draws], comm, step_times=ends, paces=paces)
+        step_times = [ends] * len(draws)
+        outcomes = results_of([cases[d] for d in draws], comm, step_times=step_times, paces=paces)
         errors.extend(outcome.error for outcome in outcomes if not isinstance(outcome, Result))
         return {d: r for d, r in zip(draws, outcomes, strict=True) if isinstance(r, Result)}
 

@@ -171,9 +171,6 @@ class Result(Outcome):
     attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
     checkpoint : what a run goes on from, None where the result was made without.
     path : of its file, None for a result in memory.
-    parameters : keys of the numbers that there are derivatives with respect to, with their units.
-    derivatives : (P, s) or (P, s, n) each, by name, see variables.D_HISTORIES and D_PROFILES;
-        (P, n) where the last profiles are stored only.
     layers : of bodies with layers, by name, see variables.LAYERS: (s,), (s, layers + 1) and (s, n),
         or (n,) where the last profiles are stored only.
     stress : stored stresses, None where the case asks for none.
@@ -195,8 +192,6 @@ class Result(Outcome):
     attributes: Mapping[str, Any]
     checkpoint: Checkpoint | None = None
     path: Path | None = None
-    parameters: Mapping[str, str] = field(default_factory=dict)
-    derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
     stress: StressHistory | None = None
 
@@ -295,9 +290,6 @@ class HistoryColumns:
     status: tuple[str, ...]
     #: why it failed, one line; "" for one that has not
     reason: tuple[str, ...]
-    #: (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see ``variables.D_HISTORIES``
-    #: and ``D_PROFILES``
-    derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
     #: (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see ``variables.LAYERS``
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
     #: (rows,) or (rows, points) each, by name, see ``result_variables.stress_rows``

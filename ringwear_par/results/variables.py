@@ -214,42 +214,8 @@ TIMES_THROUGH = _of_both(
 #: all of them
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
 
-# -- derivatives -----------------------------------------------------------------------------------
-
-PARAMETER = Variable(
-    "parameter", ("parameter",), "1", "key of the number that derivatives are with respect to"
-)
-PARAMETER_UNIT = Variable("parameter_unit", ("parameter",), "1", "its unit")
-#: what all numbers of a state but these have
-_NOT_DIFFERENTIATED = ("time", "contact_iterations")
-
-
-def derivative_of(variable: Variable) -> Variable:
-    """Return the derivative of a variable with respect to some numbers."""
-    return Variable(
-        f"d_{variable.name}",
-        (PARAMETER.name, *variable.dimensions),
-        f"{variable.unit}/{PARAMETER_UNIT.name}",
-        f"derivative with respect to each parameter: {variable.meaning}",
-    )
-
-
-#: derivatives of numbers at each stored state, and of fields
-D_HISTORIES = variable_table(
-    *(derivative_of(v) for name, v in HISTORIES.items() if name not in _NOT_DIFFERENTIATED)
-)
-D_PROFILES = variable_table(*map(derivative_of, PROFILES.values()))
-#: all of them
-DERIVATIVES = {**D_HISTORIES, **D_PROFILES}
-
-
 #: all variables of a row
-VARIABLES = {**HISTORIES, **PROFILES, **LAYERS, **DERIVATIVES}
-
-
-def derivative_names(fields: Sequence[str]) -> tuple[str, ...]:
-    """Return the derivatives that are stored where these fields are."""
-    return tuple(name for name in DERIVATIVES if name in D_HISTORIES or name[2:] in fields)
+VARIABLES = {**HISTORIES, **PROFILES, **LAYERS}
 
 
 def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
@@ -259,7 +225,7 @@ def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
 
 
 #: coordinates of the result file that are no dimensions; it may lack the last
-COORDINATES = ("time", *LINE, PARAMETER_UNIT.name)
+COORDINATES = ("time", *LINE)
 
 # -- stresses --------------------------------------------------------------------------------------
 

@@ -7,19 +7,18 @@ called as they are.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial, wraps
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, derivative, read_only
+from ringwear_par.arrays import FloatArray, IntArray, read_only
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.schedules import Quantity, value
-from ringwear_par.wear.law import SMALL_WEAR, Law, WearLaw
+from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 
 #: functions of a law that may be the user's
-UserFunction = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
-_SIGNED = ("d_rate_dwear", "d_rate_dparameter")
+UserFunction = Literal["rate", "d_rate_dp", "d_rate_dwear"]
 #: beginning of the names of parameters that a file reads from its state
 PARAMETERS = "parameters."
 
@@ -69,7 +68,7 @@ def checked_call(
     if not real:
         return result
     bad = ~np.isfinite(result)
-    if name not in _SIGNED:
+    if name != "d_rate_dwear":
         bad |= result < 0.0
     if bad.any():
         raise LawError(_refused(called, name, p, local, result, np.argwhere(bad)[0]))
@@ -92,7 +91,7 @@ def _refused(
     quantity = {"rate": "rate", "potential": "integral of the rate"}.get(
         name, "derivative of the rate"
     )
-    allowed = "a finite number" if name in _SIGNED else "a finite number >= 0"
+    allowed = "a finite number" if name == "d_rate_dwear" else "a finite number >= 0"
     if name == "d_rate_dp" and result[where] < 0.0:
         allowed += ": rates must not fall with pressure"
     return (
@@ -204,30 +203,6 @@ class CheckedLaw(Law):
         defined = self.defined("d_rate_dwear")
         return self._call("d_rate_dwear", p, local) if defined else super().d_rate_dwear(p, local)
 
-    @_each_history
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter."""
-        if self.defined("d_rate_dparameter"):
-            return self._call("d_rate_dparameter", p, local, name)
-        return super().d_rate_dparameter(name, p, local)
-
-    @_each_history
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
-        """Return the derivative of the rate as speed, friction and slid change in a direction.
-
-        The code need not take complex numbers.
-        """
-        return derivative(lambda x: self.rate(p, local.moved(x, direction)), 0.0, 1.0)
-
-    @_each_history
-    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return the derivative of the rate by the wear at the start of a step, 1/s."""
-        if self.remembers:
-            return self.d_rate_dwear(p, local)
-        return derivative(
-            lambda wear: self.rate(p, replace(local, wear=wear)), local.wear, SMALL_WEAR
-        )
-
 
 @dataclass(frozen=True)
 class CompletedLaw(CheckedLaw):
@@ -280,11 +255,6 @@ class CompletedLaw(CheckedLaw):
     def defined(self, function: UserFunction) -> Callable[..., Any] | None:
         """Return a method of the object, None where it has none."""
         return self._attribute(function, None)
-
-    def with_parameter(self, name: str, values: Any) -> Self:
-        """Return the law with another number, or other values at the elements."""
-        law: Any = self.user_object
-        return replace(self, user_object=replace(law, **{name: values}))
 
     def per_energy(self, friction: float) -> float | None:
         """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""

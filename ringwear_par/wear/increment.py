@@ -358,20 +358,6 @@ class WearIncrement:
             np.divide(left, total, out=share, where=open_ & (left > 0.0))
         return share
 
-    def d_share(self, total: FloatArray, d_total: FloatArray, d_gap: Any) -> FloatArray:
-        """Return derivatives of ``share`` from those of total depth and gap.
-
-        Parameters
-        ----------
-        total : (..., n) mm, of both bodies; ``d_total`` is (..., n) or (P, ..., n).
-        d_gap : of the gaps that close, likewise.
-        """
-        assert self.closing is not None
-        gap = self.closing.gap
-        inside = (gap > 0.0) & (total > gap)
-        total = np.where(inside, total, 1.0)
-        return np.where(inside, (gap * d_total / total - d_gap) / total, 0.0)
-
     # -- in the contact problem --------------------------------------------------------------------
 
     def depth(self, p: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from typing import (
 
 import numpy as np
 
-from ringwear_par.arrays import COMPLEX_STEP, FloatArray, IntArray, derivative
+from ringwear_par.arrays import FloatArray, IntArray, derivative
 from ringwear_par.errors import Fault
 from ringwear_par.schedules import (
     Quantity,
@@ -38,7 +38,6 @@ from ringwear_par.schedules import (
     quantity_text,
     smallest,
     take,
-    value,
 )
 from ringwear_par.schedules import stack as stack_quantities
 from ringwear_par.wear.local_state import LocalState
@@ -189,51 +188,9 @@ class Law:
             lambda wear: self.rate(p, replace(local, wear=wear)), local.wear, SMALL_WEAR
         )
 
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there.
-
-        Raises
-        ------
-        ValueError : the rate has no derivative with respect to it.
-        """
-        return derivative(
-            lambda values: self.with_parameter(name, values).rate(p, local),
-            self.parameter(name, local),
-            _SMALL_PARAMETER,
-        )
-
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
-        """Return the derivative of the rate as speed, friction and slid change in a direction.
-
-        By complex step, exact to round-off: the rates of our own laws take complex numbers.
-        """
-        return np.imag(self.rate(p, local.moved(1j * COMPLEX_STEP, direction))) / COMPLEX_STEP
-
-    def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return the derivative of the rate by the wear at the start of a step, 1/s.
-
-        None: 0. A law may read this wear without depending on the wear within the step.
-        """
-        return self.d_rate_dwear(p, local) if self.remembers else None
-
-    def parameter(self, name: str, local: LocalState) -> float | FloatArray:
-        """Return the value of a numeric parameter: a number, or one that broadcasts with p.
-
-        Raises
-        ------
-        ValueError : it is no numeric parameter.
-        """
-        if name not in self.numeric:
-            raise ValueError(f"{name}: must be one of {', '.join(self.numeric) or 'none'}")
-        return value(self.quantity(name), local.time, local.r)
-
     def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
         return getattr(self, name)
-
-    def with_parameter(self, name: str, values: Any) -> Self:
-        """Return the law with another number, or other values at the elements."""
-        return replace(self, **{name: values})  # type: ignore[type-var]
 
     def per_energy(self, friction: float) -> float | None:
         """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""

@@ -200,13 +200,6 @@ class LayeredLaw(Law):
             if short is not None:
                 yield number, short
 
-    def with_parameter(self, name: str, values: Any) -> Self:
-        """Return the law with another number, or other values at the elements."""
-        laws = list(self.laws)
-        for number, short in self.laws_with(name):
-            laws[number] = laws[number].with_parameter(short, values)
-        return replace(self, laws=tuple(laws))
-
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         return self._at_face("rate", p, local)
@@ -233,19 +226,6 @@ class LayeredLaw(Law):
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         return self._at_face("d_rate_dwear", p, local)
-
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
-        """Return the derivative of the rate as speed, friction and slid change in a direction."""
-        return self._at_face("d_rate_dlocal", p, local, direction)
-
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        present = self.layers_at(local.wear) if self.present is None else self.present
-        states, d_rate = self.states(local), np.zeros_like(p)
-        for number, short in self.laws_with(name):
-            of_layer = self.laws[number].d_rate_dparameter(short, p, states[number])
-            d_rate = np.where(present == number, of_layer, d_rate)
-        return d_rate
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""

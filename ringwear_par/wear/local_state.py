@@ -72,18 +72,6 @@ class LocalState:
             slid=take(self.slid, histories),
         )
 
-    def moved(self, factor: Any, direction: "LocalState") -> "LocalState":
-        """Return the state with ``factor`` times the direction's speed, friction and slid added."""
-        return LocalState(
-            self.time,
-            self.r,
-            self.speed + factor * direction.speed,
-            self.friction + factor * direction.friction,
-            self.wear,
-            self.slid + factor * direction.slid,
-            self.parameters,
-        )
-
     def history(self, i: int) -> "LocalState":
         """Return the local state of one of B histories."""
         return replace(

@@ -53,7 +53,7 @@ PLACES = {
     "results.execution.stop_signals": "StopSignals",
     "results.key_numbers": "key_numbers",
     "results.storage.result_files": "restored",
-    "results.variables": "D_HISTORIES D_PROFILES HISTORIES PROFILES",
+    "results.variables": "HISTORIES PROFILES",
     "schedules": "Table bends in_time integral",
     "studies.execution.batches": "computed",
     "studies.execution.many": "results_of",

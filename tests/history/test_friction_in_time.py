@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from mpi4py import MPI
-from parts import Table, bends, computed, integral, key_numbers
+from parts import Table, bends, integral, key_numbers
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.history.elastic.pairs import assemble
 
 K = 4e-7
 MU = [[0.0, 0.1], [300.0, 0.1], [330.0, 0.25], [390.0, 0.05]]
@@ -89,29 +87,3 @@ def test_volume_per_energy_is_no_constant_of_a_law_without_friction():
     archard = rw.simulate(rw.read_case(CASES / "archard.toml", {"contact.friction": MU}))
     assert archard.attributes["energy_identity"] == 0
     assert rw.simulate(case_of()).attributes["energy_identity"] == 1
-
-
-@pytest.mark.parametrize("key", ["contact.friction", "load.omega", "load.force"])
-def test_derivatives_by_a_factor_on_a_table_are_those_of_the_history(key):
-    case = case_of(**{
-        "load.pressure": None, "load.force": [[0.0, 2e4], [200.0, 4e4]], "wear.lower.p0": 20.0,
-        "load.omega": [[0.0, 3.0], [100.0, 4.0]], "wear.upper.law": "running-in",
-        "wear.upper.k": 1e-8, "wear.upper.k_start": 5e-8, "wear.upper.distance": 2e4,
-    })  # fmt: skip
-    pair, times = assemble(case, MPI.COMM_SELF), np.linspace(0.0, 450.0, 46)[1:].tolist()
-    times = sorted({*times, *case.breakpoints})
-
-    def history(factor, keys=()):
-        table = {"contact.friction": case.friction}.get(key) or getattr(case.load, key[5:])
-        points = [[t, factor * v] for t, v in zip(table.x, table.y, strict=True)]
-        assert isinstance(table, Table)
-        (part,) = computed([case.replace({key: points})], pair, results=True, derivatives=keys,
-                           step_times=[times])  # fmt: skip
-        return part.results()[0]
-
-    there, up, down = history(1.0, (key,)), history(1.0 + 1e-6), history(1.0 - 1e-6)
-    for name in ("approach", "torque", "dissipated_energy", "worn_volume_upper", "force"):
-        central = (up.histories[name] - down.histories[name]) / 2e-6
-        slope = there.derivatives[f"d_{name}"][0]
-        size = np.abs(there.histories[name]).max()
-        np.testing.assert_allclose(slope, central, rtol=0, atol=2e-7 * size)

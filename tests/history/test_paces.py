@@ -31,9 +31,9 @@ def test_a_pace_is_another_clock(law):
     case = rw.read_case(ROOT / "scripts/cases/paper.toml", {**changes, "time.end": ENDS[-1]})
     other = case.replace({"time.end": CLOCK[-1]})
     paces = [np.stack([FACTORS, FACTORS]), np.ones((2, len(ENDS)))]
-    paced, even = results_of([case] * 2, MPI.COMM_SELF, step_times=ENDS, paces=paces)
-    (on_clock,) = results_of([other], MPI.COMM_SELF, step_times=CLOCK)
-    (plain,) = results_of([case], MPI.COMM_SELF, step_times=ENDS)
+    paced, even = results_of([case] * 2, MPI.COMM_SELF, step_times=[ENDS] * 2, paces=paces)
+    (on_clock,) = results_of([other], MPI.COMM_SELF, step_times=[CLOCK])
+    (plain,) = results_of([case], MPI.COMM_SELF, step_times=[ENDS])
     for name in ("penetration", "worn_volume_lower", "worn_volume_upper", "torque"):
         expected = on_clock.histories[name]
         assert paced.histories[name] == pytest.approx(expected, rel=1e-9, abs=1e-12)

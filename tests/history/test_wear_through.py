@@ -1,4 +1,4 @@
-"""Histories that wear through layers: balances, accuracy, thresholds, derivatives."""
+"""Histories that wear through layers: balances, accuracy, thresholds."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,8 @@ from mpi4py import MPI
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.observers.trace import Trace, trace
+from ringwear_par.history.observers.trace import trace
 
 CASE = CASES / "wear_through.toml"
 ALONE = MPI.COMM_SELF
@@ -135,48 +133,3 @@ def test_a_threshold_above_the_pressure_fails_no_step(pair, p0, step):
     through = history.physics.layer_left(0, history.last.wear[0]) <= 0.0
     assert through.any()
     assert (np.diff([state.wear[0] for state in history.states], axis=0) >= 0.0).all()
-
-
-KEYS = (
-    "lower.layers[0].wear.k", "lower.layers[0].wear.p0", "wear.lower.k", "load.pressure",
-    "contact.friction",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_derivatives_are_those_of_differences(pair, scheme):
-    """Of all elements: steps end at interfaces, wherever those are."""
-    changes = dict(SCHEMES[scheme])
-    if scheme == "explicit":
-        changes |= {"time.step": 0.02, "time.steps": 60}  # stable
-    layer = {"wear": {"law": "threshold", "k": 2e-8, "p0": 5.0}}
-    if scheme == "explicit":
-        layer |= {"thickness": 2e-5}
-    case = case_of(layer, **changes)
-    assert set(KEYS) <= differentiable(case).keys()
-    times = None
-    if scheme == "adaptive":
-        times = [state.time for state in trace(case, ALONE, pair=pair).states[1:]]
-
-    def history(changed):
-        seen = Trace()
-        how = {"observers": [seen], "step_times": times, "derivatives": KEYS}
-        simulate_one(changed, ALONE, pair=pair, **how)
-        return seen
-
-    found = history(case)
-    state = found.last
-    assert 0.0 < (found.physics.layer_left(0, state.wear[0]) <= 0.0).mean() < 1.0
-    values = (2e-8, 5.0, 1e-7, 80.0, 0.1)
-    for row, (key, number) in enumerate(zip(KEYS, values, strict=True)):
-        h = 1e-5 * number
-        ends = [history(case.replace({key: number + s * h})).last for s in (1.0, -1.0)]
-        for name, derivative in (
-            ("wear", state.tangent.wear[:, row]), ("energy", state.tangent.energy[row])
-        ):  # fmt: skip
-            change = np.subtract(*(getattr(end, name) for end in ends)) / (2.0 * h)
-            size = np.abs(derivative).max()
-            noise = 1e-11 * np.abs(getattr(state, name)).max() / h  # of what contacts leave
-            assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
-            most = 1e-2 if scheme == "adaptive" else 1e-3  # whose given ends are at interfaces
-            assert np.abs(change - derivative).max() < most * size + noise, (key, name)

@@ -125,14 +125,6 @@ def test_a_run_of_another_version_says_so(tmp_path, comm, monkeypatch, caplog):
     assert "computed so far by version 0.0.9" in caplog.text
 
 
-def test_a_result_with_derivatives_does_not_go_on_without_them(tmp_path, comm):
-    path = tmp_path / "derived.h5"
-    rw.simulate(rw.read_case(PAPER, SMALL), comm, derivatives=["wear.lower.k"]).save(path)
-    with pytest.raises(rw.InputError, match="derivatives"):
-        run_case(PAPER, path, [*SMALL, "time.steps=25"], comm=comm, restart=True)
-    assert open_result(path).derivatives
-
-
 def test_only_the_steps_and_fields_asked_for(tmp_path, comm):
     path = tmp_path / "run.h5"
     run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], comm=comm)

@@ -109,16 +109,6 @@ class ComplianceFamily:
             np.array(twist) / area.sum(), np.array(defect),
         )  # fmt: skip
 
-    def derivative_by_modulus(self, young: tuple[float, float], body: int) -> FloatArray:
-        """Return the derivative of K by the modulus of lower or upper, 0 or 1, (n, n) mm^3/MPa^2.
-
-        Of K as members have it, so that derivatives are those of the histories that are computed,
-        corrections included, which leave up to a hundredth of the pressure.
-        """
-        slope = (self.ratio, -1.0)[body] / young[body] ** 2
-        by_share = slope * (self.gamma - (1.0 if body == 0 else 0.0))
-        return by_share * self.reference.matrix + slope * self.derivative
-
 
 def family_of(pair: ContactPair, number: int) -> ComplianceFamily:
     """Return a family of a pair, which keeps it. Not collective."""

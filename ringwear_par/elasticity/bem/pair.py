@@ -8,17 +8,16 @@ the elements at an edge, by their whole pressure where that is regular, and howe
 """
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 from scipy.linalg import cho_factor, cho_solve, eigh
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliance, compliances
-from ringwear_par.elasticity.bem.boundary import count_elements
+from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliances
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, obliquity, pair_key, pair_slope
 from ringwear_par.elasticity.sections import Body
 from ringwear_par.errors import ComputationError
@@ -94,15 +93,6 @@ def _definite(matrix: FloatArray) -> FloatArray:
     return matrix
 
 
-#: by which the compliance is changed to see what that does to the symmetric one
-_SHARE = 1e-4
-
-#: numbers of a layer
-Entry = Literal["thickness", "young", "poisson"]
-#: share of a number by which it is varied; integrals change their rules with a thickness
-_SHARES: dict[Entry, float] = {"thickness": 1e-3, "young": 1e-4, "poisson": 1e-4}
-
-
 @dataclass(frozen=True)
 class ContactCompliance:
     """Contact line of two bodies and its compliance, with their Young's moduli."""
@@ -139,16 +129,6 @@ class ContactCompliance:
 
 
 @dataclass(frozen=True)
-class ComplianceChange:
-    """Derivatives of a body's compliance at Young's modulus 1 with respect to a number."""
-
-    #: (n, n) float, mm/MPa over the unit of the number
-    normal: FloatArray
-    #: (n,) float, mm^3/MPa over that unit, of the area integral of ``torsion``
-    twist: FloatArray
-
-
-@dataclass(frozen=True)
 class ContactPair:
     """What the boundary elements say of two bodies at Young's modulus 1, eq. (5).
 
@@ -179,11 +159,6 @@ class ContactPair:
     _last: dict[tuple[float, float], ContactCompliance] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    #: what numbers of layers do to their body, by body, layer and number, as far as asked for
-    changes: dict[tuple[int, int, str], ComplianceChange] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
-
     #: families of compliances, by number, see ``compliance_family``
     families: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -226,24 +201,6 @@ class ContactPair:
             self.slope,
             normal,
         )
-
-    def d_compliance(
-        self, young: tuple[float, float], change: ComplianceChange
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the derivatives with respect to a number that changes the compliance.
-
-        Of ``matrix`` (by differences, see ``symmetric``), ``collocated`` and ``twist``; over the
-        unit of the number.
-
-        Parameters
-        ----------
-        change : derivatives of the collocated compliance, and of the area integral of the twist.
-        """
-        line = self.line
-        normal = sum(unit / modulus for unit, modulus in zip(self.normal, young, strict=True))
-        step = _SHARE * float(np.abs(normal).max() / np.abs(change.normal).max())
-        more, less = (symmetric(line, normal + by * change.normal) for by in (step, -step))
-        return (more - less) / (2.0 * step), change.normal, change.twist / line.area.sum()
 
 
 def assemble_pair(
@@ -299,55 +256,3 @@ def largest_stable_step(compliance: ContactCompliance, slope: FloatArray) -> flo
     weighted = np.diag(compliance.line.area * slope)
     largest = eigh(weighted, compliance.matrix, eigvals_only=True, subset_by_index=(n - 1, n - 1))
     return float(2.0 / largest[0])
-
-
-def layer_derivative(
-    body: Body,
-    layer: int,
-    entry: Entry,
-    line: ContactLine,
-    mesh: Mesh,
-    slope: FloatArray,
-    comm: MPI.Comm,
-) -> ComplianceChange:
-    """Return the change of the compliance with a number of a layer. Collective on comm.
-
-    Parameters
-    ----------
-    layer : its number, from the contact face downwards.
-    entry : the thickness, mm, or of its material the modulus over that of the body itself, or
-        Poisson's ratio.
-    line, mesh, slope : as of ``compliance``.
-
-    Raises
-    ------
-    ComputationError : a factorisation failed.
-    """
-    contact = float(line.edges[0]), float(line.edges[-1])
-    count = count_elements(body.section, contact, mesh)
-    varied_compliances: list[tuple[float, Compliance]] = []
-    for share in (-_SHARES[entry], _SHARES[entry]):
-        varied, by = _varied(body, layer, entry, share)
-        # a mesh that jumps would be no difference of the same thing
-        if count_elements(varied.section, contact, mesh) == count:
-            varied_compliances.append((by, compliance(varied, line, mesh, comm, slope=slope)))
-    if len(varied_compliances) == 1:
-        varied_compliances.append((0.0, compliance(body, line, mesh, comm, slope=slope)))
-    (low, before), (high, after) = varied_compliances
-    normal, torsion = after.normal - before.normal, after.torsion - before.torsion
-    return ComplianceChange(normal / (high - low), line.area @ torsion / (high - low))
-
-
-def _varied(body: Body, layer: int, entry: Entry, share: float) -> tuple[Body, float]:
-    """Return a body of which a number is larger by a share of it, and by how much that is."""
-    if entry == "thickness":
-        thickness = list(body.section.layers)
-        by = share * thickness[layer]
-        thickness[layer] += by
-        return replace(body, section=replace(body.section, layers=tuple(thickness))), by
-    materials = list(body.layers)
-    number = getattr(materials[layer], entry)
-    # Poisson's ratio may be 0
-    by = share * number if entry == "young" else share
-    materials[layer] = replace(materials[layer], **{entry: number + by})
-    return replace(body, layers=tuple(materials)), by / body.young if entry == "young" else by

@@ -8,7 +8,6 @@ elements get more weight, so that over a step all elements together carry the lo
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -64,25 +63,6 @@ class ClosingElements:
             extra = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
             ones = ones + np.maximum(extra, _LEAST)[..., None]
         return np.where(closing, weights, ones)
-
-    def d_stage_weights(
-        self, p: FloatArray, d_p: FloatArray, weights: Any, d_weights: Any
-    ) -> FloatArray:
-        """Return derivatives of ``stage_weights``, (P, ..., n), from those of its arguments."""
-        closing, area = self.mask, self.area
-        if not self.force_kept:
-            return np.where(closing, d_weights, np.zeros_like(d_p))
-
-        def carried(of_closing: Any, of_touching: Any) -> Any:
-            return np.asarray(inner(area, np.where(closing, of_closing, of_touching)))
-
-        lacking, load = carried((1.0 - weights) * p, 0.0), carried(0.0, p)
-        d_lacking, d_load = carried((1.0 - weights) * d_p - d_weights * p, 0.0), carried(0.0, d_p)
-        nonzero_load = np.where(load > 0.0, load, 1.0)
-        extra = lacking / nonzero_load
-        rises = (load > 0.0) & (extra > _LEAST)
-        d_extra = np.where(rises, (d_lacking - extra * d_load) / nonzero_load, 0.0)
-        return np.where(closing, d_weights, d_extra[..., None])
 
 
 def find_closing_elements(

@@ -13,7 +13,6 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
-from ringwear_par.history.schemes.tangent import tangent_of_step
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import total_of
 
@@ -27,19 +26,13 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     if not physics.inputs.steady_sliding:
         rates = physics.rates(state.time, sliding, state.wear, p)
     wear, volumes = state.wear + columns(length) * rates, length * physics.integrals(rates)
-    step_tangent = tangent_of_step(physics, contacts, state, end)
-    if step_tangent is not None:
-        step_tangent.explicit(physics.increment(state.time, sliding, state.wear, length), p)
-        step_tangent.work(length, sliding, p, step_tangent.pressure)
-    contact = contacts.solve(physics.contact_inputs(end, wear), p, tangents=step_tangent)
+    contact = contacts.solve(physics.contact_inputs(end, wear), p)
     end_rates = physics.rates_at(end, wear, contact.pressure)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
-    after = advanced(
-        physics, state, end, wear, volumes, energy, work, contact, end_rates, step_tangent
-    )
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, end_rates)
     passage = Passage.of(at_face, physics, state, after, state.time, sliding, p, rates)
-    return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
+    return end_at_interfaces(contacts, state, _estimate_error(state, after), passage)
 
 
 def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -48,11 +41,8 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     length = end - state.time
     sliding = physics.mean_sliding(state.time, end)
     increment = physics.increment(end, sliding, state.wear, length)
-    step_tangent = tangent_of_step(physics, contacts, state, end)
     contact = contacts.solve(
-        physics.contact_inputs(end, state.wear, increment),
-        state.contact.pressure,
-        tangents=step_tangent,
+        physics.contact_inputs(end, state.wear, increment), state.contact.pressure
     )
     p = contact.pressure
     wear, volume_rates = increment.wear_off(p, state.wear, length, physics.area)
@@ -60,23 +50,10 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     end_rates = rates if physics.inputs.rates_last else physics.rates_at(end, wear, p)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
-    if step_tangent is not None:
-        step_tangent.implicit()
-        step_tangent.work(length, sliding, p, step_tangent.pressure)
-    after = advanced(
-        physics,
-        state,
-        end,
-        wear,
-        length * volume_rates,
-        energy,
-        work,
-        contact,
-        end_rates,
-        step_tangent,
-    )
+    volumes = length * volume_rates
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, end_rates)
     passage = Passage.of(at_face, physics, state, after, end, sliding, p, rates)
-    return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
+    return end_at_interfaces(contacts, state, _estimate_error(state, after), passage)
 
 
 def _estimate_error(state: State, after: State) -> Step:

@@ -23,8 +23,8 @@ from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.compiled.product_rows import SPARE_ROWS
 from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.contact.solution_derivatives import SolutionDerivatives
 from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.closing_elements import (
     ClosingElements,
@@ -33,7 +33,6 @@ from ringwear_par.history.schemes.closing_elements import (
 )
 from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
-from ringwear_par.history.schemes.tangent import StepTangent, tangent_of_step
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import WearIncrement
 
@@ -78,23 +77,15 @@ def step(
         None if closing is None else closing.closing(stage_length, np.ones_like(closing.gap))
     )
     first = physics.increment(middle, sliding[1], state.wear, stage_length, gap_closing)
-    step_tangent = tangent_of_step(physics, contacts, state, end, middle, closing)
-    stage = contacts.solve(
-        physics.contact_inputs(middle, state.wear, first), p_before, tangents=step_tangent
-    )
+    stage = contacts.solve(physics.contact_inputs(middle, state.wear, first), p_before)
     weights = None if closing is None else closing.stage_weights(stage.pressure, 0.0)
     carried, first_volumes = first.wear_off(
         stage.pressure, state.wear, _FIRST_STAGE_FACTOR * stage_length, physics.area, weights
     )
     in_first = first.total_if_always_in_contact(stage.pressure)  # the last stage may be the same
-    if step_tangent is not None:
-        step_tangent.first_stage(
-            stage.pressure, 1.0 if weights is None else weights, _FIRST_STAGE_FACTOR
-        )
     last, contact, weights_last = _last_stage(
-        physics, contacts, closing, end, sliding[2], carried, stage_length, stage.pressure,
-        step_tangent,
-    )  # fmt: skip
+        physics, contacts, closing, end, sliding[2], carried, stage_length, stage.pressure
+    )
     wear, last_volumes = last.wear_off(
         contact.pressure, carried, stage_length, physics.area, weights_last
     )
@@ -117,12 +108,7 @@ def step(
         else physics.rates(end, sliding[2], wear, contact.pressure)
     )
     volumes = length * (_WEIGHTS[1] * first_volumes + _WEIGHTS[2] * last_volumes)
-    if step_tangent is not None:
-        step_tangent.last_stage(last, contact.pressure, stage_length)
-        pressures = _weighted(weights, stage.pressure), _weighted(weights_last, contact.pressure)
-        for i, (p, d_p) in enumerate(zip(pressures, step_tangent.weighted, strict=True), start=1):
-            step_tangent.work(_WEIGHTS[i] * length, sliding[i], p, d_p)
-    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then)
     if not with_errors:
         return Step(after, np.zeros_like(length), np.zeros_like(length))
     in_last = last.total_if_always_in_contact(contact.pressure)
@@ -151,7 +137,7 @@ def step(
         after, wear_error, history_error, energy_error, power, pressure_errors,
         carried_error, False if is_closed else _closing(p_before, state.wear, wear),
     )  # fmt: skip
-    return end_at_interfaces(contacts, state, judged, passage, step_tangent)
+    return end_at_interfaces(contacts, state, judged, passage)
 
 
 def _errors_of(
@@ -178,17 +164,17 @@ def _errors_of(
     slope, memory = last.slope(p), last.memory(p)
     estimates = Estimates(length, state.rates, in_first, in_last, state.error)
     errors = Errors.empty(*p.shape)
-    derivatives = contacts.engine.derivatives
+    engine = contacts.engine
     if memory is not None or not last.local or last.layered:
         left = np.arange(len(p))
     else:
-        left = derivatives.propagate_errors(slope, closing, estimates, _ERRORS, errors)
+        left = engine.propagate_errors(slope, closing, estimates, _ERRORS, errors)
     if len(left) == len(p):
-        _set_errors(errors, derivatives, None, estimates, closing, last, slope, memory)
+        _set_errors(errors, engine, None, estimates, closing, last, slope, memory)
     elif len(left):
         of_left = Errors.empty(len(left), p.shape[1])
         _set_errors(
-            of_left, derivatives, left,
+            of_left, engine, left,
             Estimates(
                 length[left], state.rates.take(left, axis=1), in_first[left], in_last[left],
                 state.error[left],
@@ -202,7 +188,7 @@ def _errors_of(
 
 def _set_errors(
     errors: Errors,
-    derivatives: SolutionDerivatives,
+    engine: ContactEngine,
     histories: IntArray | None,
     estimates: Estimates,
     closing: BoolArray | None,
@@ -220,7 +206,7 @@ def _set_errors(
 
     def relieved(growth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the pressures that depths too many take away, and theirs times slopes."""
-        reliefs = derivatives.response(growth, histories)
+        reliefs = engine.response(growth, histories)
         if ones is not None:
             return reliefs, last.depth_change(slope, reliefs), ones
         return reliefs, reliefs, slope
@@ -244,11 +230,6 @@ def _closing(p: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:
     return ((p <= 0.0) & (after > before).any(axis=0)).any(axis=-1)
 
 
-def _weighted(weights: FloatArray | None, values: FloatArray) -> FloatArray:
-    """Return weights times values; None stands for 1, where no elements close."""
-    return values if weights is None else weights * values
-
-
 def _last_stage(
     physics: Physics,
     contacts: CorrectedContacts,
@@ -258,7 +239,6 @@ def _last_stage(
     carried: FloatArray,
     step: FloatArray,
     pressure_guess: FloatArray,
-    step_tangent: StepTangent | None,
 ) -> tuple[WearIncrement, ContactState, FloatArray | None]:
     """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
@@ -269,26 +249,20 @@ def _last_stage(
     """
     if closing is None:
         last = physics.increment(end, sliding, carried, step)
-        contact = contacts.solve(
-            physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent
-        )
+        contact = contacts.solve(physics.contact_inputs(end, carried, last), pressure_guess)
         return last, contact, None
     weights = np.where(closing.mask, 1.0 + _FIRST_STAGE_FACTOR, 1.0)
     last = physics.increment(end, sliding, carried, step, closing.closing(step, weights))
-    contact = contacts.solve(
-        physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent
-    )
+    contact = contacts.solve(physics.contact_inputs(end, carried, last), pressure_guess)
     p = contact.pressure
     inside = last.share(last.depth_if_always_in_contact(p))
     if closing.force_kept:
         # the others' weight depends on what closing elements carry: so little that twice will do
-        if step_tangent is not None:
-            step_tangent.lengthen(last, p, step)
         weights = np.where(closing.mask, weights, closing.stage_weights(p, weights * inside))
         last = physics.increment(end, sliding, carried, step, closing.closing(step, weights))
         solved = np.logical_not(closing.mask.any(axis=-1)), contact
         inputs = physics.contact_inputs(end, carried, last)
-        again = contacts.solve(inputs, pressure_guess, already_solved=solved, tangents=step_tangent)
+        again = contacts.solve(inputs, pressure_guess, already_solved=solved)
         more = np.where(solved[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.depth_if_always_in_contact(contact.pressure))

@@ -16,7 +16,6 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.states import check_state
-from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
 
 
@@ -66,7 +65,6 @@ def advanced(
     normal_work: FloatArray,
     contact: ContactState,
     rates: FloatArray,
-    step_tangent: StepTangent | None,
 ) -> State:
     """Return the state at the end of a step.
 
@@ -76,7 +74,6 @@ def advanced(
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
     energy, normal_work : (B,), N mm, in it, see ``State``.
     rates : (2, ..., n) float, mm/s, of wear at its end.
-    step_tangent : derivatives along it, where they are asked for.
 
     Raises
     ------
@@ -85,7 +82,6 @@ def advanced(
     after = State(
         end, wear, state.worn + volumes, state.energy + energy,
         state.normal_work + normal_work, contact, state.first_approach, rates, state.error,
-        state.meshed_wear, state.gap_offset,
-        None if step_tangent is None else step_tangent.reached(contact), state.through,
+        state.meshed_wear, state.gap_offset, state.through,
     )  # fmt: skip
     return check_state(physics.inputs, after)

@@ -15,7 +15,7 @@ from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.history.derivatives.keys import differentiable
+from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
@@ -146,7 +146,7 @@ def unit_scale(parameter: FittedParameter) -> float:
 
 def units_of(problem: Problem) -> dict[str, str]:
     """Return the units of the fitted keys, "1" for none."""
-    known = differentiable(problem.experiments[0].case)
+    known = smooth_keys(problem.experiments[0].case)
     return {key: known[key] for key in problem.keys}
 
 

@@ -9,7 +9,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.layers import expanded
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import Fault, InputError
-from ringwear_par.history.derivatives.keys import differentiable, elastic_numbers
+from ringwear_par.history.smooth_keys import elastic_numbers, smooth_keys
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.wear.law import parameters_of
 
@@ -21,7 +21,7 @@ def refuse_unfit(
     place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
     """Add a fault for each key on which a case does not depend smoothly, or out of order."""
-    allowed, elastic = differentiable(case), elastic_numbers(case)
+    allowed, elastic = smooth_keys(case), elastic_numbers(case)
     for parameter in parameters:
         if parameter.key in elastic:
             faults += _faults_of_bounds(place, parameter, case)

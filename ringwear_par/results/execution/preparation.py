@@ -113,11 +113,6 @@ def _difference(before: Result, case: Case) -> str:
             "was computed with another wear law in a Python file than there is now; --restart "
             "needs the same"
         )
-    if before.derivatives:
-        return (
-            "holds derivatives, which a run does not go on with; must be a result without, or "
-            "another name"
-        )
     growing = "time.end" if case.time.adaptive else "time.steps"
     refusal = (
         f"holds another case; --restart needs the same case, only {growing} and limits in [stop] "

@@ -45,7 +45,6 @@ class Recorder:
     cases : of one ``lockstep.batch_key``.
     comm : communicator of their histories.
     before : result of the interrupted history that continues, of one case; None: it starts.
-    derivatives : keys that the histories have derivatives with respect to.
     stresses : returns the stresses of a case, None where it asks for none; None: made here.
     results : whether there are to be results, which hold what it takes to continue.
     """
@@ -56,14 +55,13 @@ class Recorder:
         comm: MPI.Comm,
         before: Result | None = None,
         *,
-        derivatives: Sequence[str] = (),
         stresses: Callable[[Case], CaseStresses | None] | None = None,
         results: bool = True,
     ) -> None:
         self._cases, self._comm, count = cases, comm, len(cases)
         #: where the history continues, None where it starts
         self.start: Start | None = None
-        self._rows = StoredRows(cases, derivatives)
+        self._rows = StoredRows(cases)
         rows, stored_until = np.zeros(0, dtype=bool), -1.0
         if before is not None:
             assert before.checkpoint is not None
@@ -249,8 +247,6 @@ class Recorder:
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
             Checkpoint(last.start, place, int(self._rows.pending[number]), worst),
-            parameters=self._rows.parameters,
-            derivatives=part(columns.derivatives),
             layers=part(columns.layers),
             stress=self._stresses.history(number),
         )  # fmt: skip

@@ -1,13 +1,10 @@
 """From a case to its result: ``rw.simulate``, the path that ``run`` and ``sweep`` take as well."""
 
-from collections.abc import Sequence
-
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.derivatives.keys import check_derivatives
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.refusals.cases import check_case
@@ -21,7 +18,6 @@ def simulate(
     comm: MPI.Comm | None = None,
     *,
     pair: ContactPair | None = None,
-    derivatives: Sequence[str] = (),
 ) -> Result:
     """Return the wear history of a case.
 
@@ -33,8 +29,6 @@ def simulate(
     pair : what ``assemble`` made of a case of the same shape, mesh, Poisson's ratios and grip, to
         be used again; None: it is assembled. With ``geometry = "updated"`` numbers may differ in
         the last digits between both.
-    derivatives : keys of plain numbers of the case; of everything that is stored, the result then
-        has derivatives with respect to them too: ``d_pressure``, ``d_approach``, ...
 
     Returns
     -------
@@ -43,7 +37,7 @@ def simulate(
     Raises
     ------
     InputError : no case, a law that is none, a mesh or a memory that cannot be, bodies that
-        interpenetrate, a pair of another shape, derivatives that there are not.
+        interpenetrate, a pair of another shape.
     ComputationError : a step failed; it is named with its time.
 
     Examples
@@ -55,17 +49,12 @@ def simulate(
     """
     need_case(case, "simulate")
     comm = MPI.COMM_WORLD if comm is None else comm
-
-    def check() -> None:
-        check_derivatives(case, derivatives)
-        check_case(case, comm.size, "case")
-
-    on_first_rank(comm, check)
+    on_first_rank(comm, lambda: check_case(case, comm.size, "case"))
     if pair is not None and pair.key != operator_key(case):
         raise InputError(
             "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
             "assemble(case) of a case that shares them"
         )
-    recorder = Recorder([case], comm, derivatives=derivatives)
-    simulate_one(case, comm, pair=pair, observers=[recorder], derivatives=derivatives)
+    recorder = Recorder([case], comm)
+    simulate_one(case, comm, pair=pair, observers=[recorder])
     return recorder.result()

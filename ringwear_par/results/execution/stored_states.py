@@ -1,7 +1,7 @@
 """Observers of stored states: rows of variables, and last states, from which histories go on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,15 +9,13 @@ import numpy as np
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, is_one_number, share
 from ringwear_par.cases.case import Case
-from ringwear_par.history.derivatives.keys import units_of
 from ringwear_par.history.inputs import StoredStates
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
 from ringwear_par.history.stop_criteria import limit_words, limits_reached
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import HISTORIES, VARIABLES, derivative_names, layer_names
+from ringwear_par.results.variables import HISTORIES, VARIABLES, layer_names
 
 #: variables that count from the start, and the variable that they are changes of
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
@@ -67,27 +65,24 @@ class StoredRows:
     Parameters
     ----------
     cases : of one ``lockstep.batch_key``.
-    derivatives : keys that the histories have derivatives with respect to.
     """
 
-    def __init__(self, cases: Sequence[Case], derivatives: Sequence[str] = ()) -> None:
+    def __init__(self, cases: Sequence[Case]) -> None:
         case, count = cases[0], len(cases)
         self._case, self._count = case, count
-        #: units of the keys
-        self.parameters = units_of(case, derivatives)
         fields, layers = case.output.fields, (len(case.lower.layers), len(case.upper.layers))
         #: names of what is stored, by field of ``HistoryColumns``
         self._groups = {
             "histories": tuple(HISTORIES),
             "profiles": fields,
-            "derivatives": derivative_names(fields) if derivatives else (),
             "layers": layer_names((layers[0] > 0, layers[1] > 0)),
         }
         #: sizes of the axes of a row
         self._sizes = {
-            "parameter": len(self.parameters), "element": case.line.n,
-            "layer": 1 + layers[0], "layer_upper": 1 + layers[1],
-        }  # fmt: skip
+            "element": case.line.n,
+            "layer": 1 + layers[0],
+            "layer_upper": 1 + layers[1],
+        }
         stored = [name for names in self._groups.values() for name in names]
         last = [
             name
@@ -151,7 +146,6 @@ class StoredRows:
         # of a state from which its history does not go on from another; steps have theirs by now
         apart = snapshot.passing or snapshot.step is None
         values["contact_iterations"] = snapshot.iterations * apart
-        values |= derivatives_of(snapshot.physics, snapshot.state)
         self._numbers.append(numbers)
         self._steps.append(snapshot.progress.steps[stored])
         self._before.append(iterations[stored])
@@ -160,11 +154,11 @@ class StoredRows:
         for name, rows in self._rows.items():
             if name not in _SINCE_START:
                 alike = is_one_number(values[name])
-                rows.append(values[name][at_rows(name, slice(len(stored)) if alike else part)])
+                rows.append(values[name][slice(len(stored)) if alike else part])
         # a single history may be stored before its end
         last = np.flatnonzero(snapshot.finished) if self._count > 1 else stored
         for name, profiles in self._last_profiles.items() if len(last) else ():
-            profiles[at_rows(name, snapshot.numbers[last])] = values[name][at_rows(name, last)]
+            profiles[snapshot.numbers[last]] = values[name][last]
         np.maximum.at(self._until_last, numbers, iterations[stored])
         return False
 
@@ -199,7 +193,7 @@ class StoredRows:
 
     def part(self, name: str, values: Any, rows: slice, number: int) -> Any:
         """Return the values of a variable in some rows of a history, or its last profile."""
-        return values[at_rows(name, rows if name in self._rows else number)]
+        return values[rows if name in self._rows else number]
 
     def _column(self, name: str, parts: Sequence[Any], order: IntArray, places: IntArray) -> Any:
         """Return the rows of a variable in order; those with more axes, which are large, once."""
@@ -212,8 +206,8 @@ class StoredRows:
             return np.broadcast_to(0.0, shape)
         column = np.empty(shape)
         for part in parts:
-            last = first + part.shape[variable.dimensions.index("step")]
-            column[at_rows(name, places[first:last])] = part
+            last = first + len(part)
+            column[places[first:last]] = part
             first = last
         return column
 
@@ -222,16 +216,11 @@ class StoredRows:
         return tuple(self._sizes.get(axis, rows) for axis in VARIABLES[name].dimensions)
 
 
-def at_rows(name: str, rows: Any) -> tuple[Any, ...]:
-    """Return the index of some rows of a variable, or histories: parameters may come first."""
-    return (*(slice(None),) * VARIABLES[name].dimensions.index("step"), rows)
-
-
 @dataclass(frozen=True)
 class LastState:
     """The present or last states of B histories."""
 
-    #: to continue from, without derivatives
+    #: to continue from
     start: Start
     #: (B,) of the compliances
     symmetry_defect: FloatArray
@@ -241,7 +230,7 @@ class LastState:
     @classmethod
     def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
         """Return the states of some histories of a snapshot."""
-        physics, state = snapshot.physics, replace(snapshot.state, tangent=None)
+        physics, state = snapshot.physics, snapshot.state
         start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
         defect = physics.compliances.symmetry_defect
         return batched.take(cls(start, defect, snapshot.finished), places)

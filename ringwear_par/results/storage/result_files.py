@@ -126,8 +126,6 @@ def _read(file: h5py.File, path: Path) -> Result:
         attributes,
         checkpoint,
         path,
-        _read_parameters(file, sizes),
-        _read_stored(file, table.DERIVATIVES, sizes),
         layers=layers,
         stress=read_stress(file, sizes),
     )
@@ -142,17 +140,6 @@ def _read_stored(
         for name, variable in variables.items()
         if name in file
     }
-
-
-def _read_parameters(file: h5py.File, sizes: dict[str, int]) -> dict[str, str]:
-    """Return the units of the parameters that there are derivatives with respect to."""
-    if table.PARAMETER.name not in file:
-        return {}
-    keys, units = (
-        hdf5.find_texts(file, name, sizes, "parameter")[()].tolist()
-        for name in (table.PARAMETER.name, table.PARAMETER_UNIT.name)
-    )
-    return dict(zip(keys, units, strict=True))
 
 
 def _attributes(file: h5py.File) -> dict[str, Any]:

@@ -55,10 +55,6 @@ def result_variables(result: Result) -> list[tuple[Variable, Any]]:
     pairs += _layer_variables(result)
     numbers = laboratory_numbers(laboratory_inputs(result))
     pairs += [(LABORATORY_NUMBERS[name].variable, values) for name, values in numbers.items()]
-    if result.parameters:
-        pairs.append((table.PARAMETER, list(result.parameters)))
-        pairs.append((table.PARAMETER_UNIT, list(result.parameters.values())))
-    pairs += [(table.DERIVATIVES[name], values) for name, values in result.derivatives.items()]
     if result.stress is not None and result.stress.states:
         pairs += _stress_variables(result.stress)
     return [(variable.stored_as(np.ndim(values)), values) for variable, values in pairs]
@@ -81,7 +77,7 @@ def _layer_variables(result: Result) -> list[tuple[Variable, Any]]:
 
 def coordinates(result: Result) -> tuple[str, ...]:
     """Return the names of a result's coordinates that are no dimensions."""
-    names = table.COORDINATES if result.parameters else table.COORDINATES[:-1]
+    names = table.COORDINATES
     if result.stress is None or not result.stress.states:
         return names
     return (*names, *_stress_coordinates(result.stress))

@@ -111,7 +111,6 @@ def computed(
     batch: int | None = None,
     stop: Callable[[], bool] = lambda: False,
     results: bool = False,
-    derivatives: Sequence[str] = (),
     step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
 ) -> Iterator[Computed]:
@@ -120,7 +119,7 @@ def computed(
     Cases share a contact pair, or contact elements where each has a pair. Each gets the same, to
     the last bit, in whatever company, ``batch`` at a time. Failures are among the blocks. ``stop``
     is called between two steps, and may answer other ranks meanwhile; histories under way are
-    thrown away then. Results, derivatives by keys, step times and paces only where asked for, see
+    thrown away then. Results, step times and paces only where asked for, see
     ``history.loop``.
     """
     pairs = [pair] * len(cases) if isinstance(pair, ContactPair) else pair
@@ -132,13 +131,10 @@ def computed(
         blocks = -(-len(numbers) // block_size(longest, most))
         for part in (part.tolist() for part in np.array_split(numbers, blocks)):
             block = [cases[number] for number in part]
-            recorder = Recorder(
-                block, MPI.COMM_SELF, derivatives=derivatives, stresses=resources.stresses,
-                results=results,
-            )  # fmt: skip
+            recorder = Recorder(block, MPI.COMM_SELF, stresses=resources.stresses, results=results)
             outcome = simulate(
                 block, MPI.COMM_SELF, pair=[pairs[n] for n in part],
-                observers=[recorder, lambda _: stop()], most_together=most, derivatives=derivatives,
+                observers=[recorder, lambda _: stop()], most_together=most,
                 step_times=None if step_times is None else [step_times[n] for n in part],
                 paces=None if paces is None else [paces[n] for n in part],
             )  # fmt: skip

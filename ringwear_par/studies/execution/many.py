@@ -12,7 +12,6 @@ from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
-from ringwear_par.history.derivatives.keys import check_derivatives
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.refusals.cases import check_case
@@ -29,7 +28,6 @@ def simulate_all(
     comm: MPI.Comm | None = None,
     *,
     batch: int | None = None,
-    derivatives: Sequence[str] = (),
 ) -> list[Result | FailedResult]:
     """Return the wear histories of many cases, in their order.
 
@@ -42,7 +40,6 @@ def simulate_all(
     cases : the same on all ranks.
     batch : most histories that a rank steps side by side; None: as many as are quickest. Results
         do not depend on it.
-    derivatives : keys that all results are to have derivatives with respect to, as of ``simulate``.
 
     Returns
     -------
@@ -71,7 +68,7 @@ def simulate_all(
     for number, case in enumerate(cases):
         need_case(case, f"simulate_all: cases[{number}]")
     comm = MPI.COMM_WORLD if comm is None else comm
-    return results_of(cases, comm, batch=batch, derivatives=derivatives)
+    return results_of(cases, comm, batch=batch)
 
 
 def results_of(
@@ -79,19 +76,17 @@ def results_of(
     comm: MPI.Comm,
     *,
     batch: int | None = None,
-    derivatives: Sequence[str] = (),
-    step_times: Sequence[float] | None = None,
+    step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
 ) -> list[Result | FailedResult]:
     """Return the histories of cases on all ranks, see ``simulate_all``. Collective on comm.
 
-    Cases end alike where they share step times (s); paces (2, steps) are factors on the rates of
-    each.
+    Step times (s) are the ends of the steps of each case; paces (2, steps) are factors on the rates
+    of each.
     """
-    steps = None if step_times is None else [step_times] * len(cases)
     results: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
-    for number, checked in enumerate(_checked(cases, comm, derivatives)):
+    for number, checked in enumerate(_checked(cases, comm)):
         if isinstance(checked, FailedResult):
             results[number] = checked
         else:
@@ -114,19 +109,17 @@ def results_of(
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
             with together(comm):
-                results.update(_simulated(cases, waiting, batch, derivatives, steps, paces))
+                results.update(_simulated(cases, waiting, batch, step_times, paces))
             waiting = []
     with together(comm):  # or the others would wait for its results
-        results.update(_simulated(cases, waiting, batch, derivatives, steps, paces))
+        results.update(_simulated(cases, waiting, batch, step_times, paces))
     if comm.size > 1:
         for place, number in enumerate(dealt):  # one by one: all might be too much for a message
             results[number] = comm.bcast(results.get(number), place % comm.size)
     return [results[number] for number in range(len(cases))]
 
 
-def _checked(
-    cases: Sequence[Case], comm: MPI.Comm, derivatives: Sequence[str]
-) -> list[Hashable | FailedResult]:
+def _checked(cases: Sequence[Case], comm: MPI.Comm) -> list[Hashable | FailedResult]:
     """Return the key of the pair of each case, or the failure of a case that is refused.
 
     Collective on comm: every rank checks its share.
@@ -136,7 +129,6 @@ def _checked(
     for case in cases[comm.rank :: comm.size]:
         try:
             key = operator_key(case)
-            check_derivatives(case, derivatives)
             check_case(case, 1, "case", known_mesh=key in known)
             known.add(key)
             checked.append(key)
@@ -150,16 +142,15 @@ def _simulated(
     cases: Sequence[Case],
     work: Sequence[tuple[ContactPair, Sequence[int]]],
     batch: int | None,
-    derivatives: Sequence[str],
-    steps: Sequence[Sequence[float]] | None,
+    step_times: Sequence[Sequence[float]] | None,
     paces: Sequence[FloatArray] | None,
 ) -> Iterator[tuple[int, Result | FailedResult]]:
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
     for pair, numbers in work:
         chosen = [cases[number] for number in numbers]
         blocks = computed(
-            chosen, pair, batch=batch, results=True, derivatives=derivatives,
-            step_times=None if steps is None else steps[: len(chosen)],
+            chosen, pair, batch=batch, results=True,
+            step_times=None if step_times is None else [step_times[n] for n in numbers],
             paces=None if paces is None else [paces[n] for n in numbers],
         )  # fmt: skip
         for block in blocks:

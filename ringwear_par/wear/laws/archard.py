@@ -48,12 +48,6 @@ class ArchardLaw(Law):
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
         return value(self.k, local.time, local.r) * local.speed
 
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        if name == "k":
-            return local.speed * p
-        return super().d_rate_dparameter(name, p, local)
-
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the integral of the rate from 0 to p, MPa mm/s."""
         return 0.5 * value(self.k, local.time, local.r) * local.speed * p * p

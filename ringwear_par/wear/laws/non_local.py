@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ringwear_par.arrays import COMPLEX_STEP, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.wear.law import Law, Parameter
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -59,7 +59,7 @@ class NonLocalLaw(ThresholdLaw):
 _SCALINGS, _SCALED = 1000, 1e-10
 
 
-def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
+def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
     """Return the (n, n) matrix of Gaussian averages over a length.
 
     Rows sum to 1 and ``diag(area) A`` is symmetric, so that constants and area integrals are
@@ -81,17 +81,12 @@ def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
         scale = scale / np.sqrt(sums)
     if not error <= _SCALED:
         raise ComputationError(
-            f"wear law: averages over {np.real(length):g} mm keep constants to {error:.1e} only, "
+            f"wear law: averages over {length:g} mm keep constants to {error:.1e} only, "
             f"after {_SCALINGS} scalings (allowed {_SCALED:g})"
         )
     symmetric = scale[:, None] * kernel * scale
     matrix = symmetric / area[:, None]
     return matrix / matrix.sum(axis=1)[:, None]
-
-
-def d_averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
-    """Return the derivative of the matrix of averages with respect to its length, (n, n) 1/mm."""
-    return np.imag(averaging(r, area, length + 1j * COMPLEX_STEP)) / COMPLEX_STEP
 
 
 def averaged(average: FloatArray, x: FloatArray) -> FloatArray:

@@ -57,15 +57,6 @@ class PowerLaw(Law):
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
         return self.m * self._slope(p, local)
 
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        if name == "k":
-            return _power(local.speed, self.n) * _power(p, self.m)
-        if name in ("m", "n"):
-            base = p if name == "m" else local.speed
-            return self.rate(p, local) * np.log(np.where(base > 0.0, base, 1.0))
-        return super().d_rate_dparameter(name, p, local)
-
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the integral of the rate from 0 to p, MPa mm/s."""
         return np.divide(self._rise(local) * _power(p, self.m + 1.0), self.m + 1.0)

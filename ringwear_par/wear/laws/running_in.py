@@ -131,18 +131,6 @@ class RunningInLaw(AboveThreshold):
             return np.zeros_like(p)
         return -self._fresh(local) / self.depth * local.power * self._excess(p, local)
 
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        memory, over = self._over(local)
-        wearing = local.power * self._excess(p, local)
-        if name == "k":
-            return -np.expm1(-(memory / over)) * wearing
-        if name == "k_start":
-            return np.exp(-(memory / over)) * wearing
-        if name in self.numeric and name in ("depth", "distance"):
-            return self._fresh(local) * memory / over**2 * wearing
-        return super().d_rate_dparameter(name, p, local)
-
 
 def _lambert_w(z: FloatArray) -> FloatArray:
     """Return W where W exp(W) = z >= 0, to round-off, by two of Halley's iterations.

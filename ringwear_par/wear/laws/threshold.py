@@ -43,12 +43,6 @@ class AboveThreshold(Law):
         rise, p0 = self._line(local)
         return rise * (p > p0)
 
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        if name == "p0":
-            return -self.d_rate_dp(p, local)
-        return super().d_rate_dparameter(name, p, local)
-
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the integral of the rate from 0 to p, MPa mm/s."""
         return 0.5 * self._line(local)[0] * self._excess(p, local) ** 2
@@ -89,14 +83,3 @@ class ThresholdLaw(AboveThreshold):
 
     def _rise(self, local: LocalState) -> FloatArray:
         return value(self.k, local.time, local.r) * local.power
-
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
-        """Return the derivative of the rate as speed and friction change in a direction."""
-        power = local.friction * direction.speed + direction.friction * local.speed
-        return value(self.k, local.time, local.r) * power * self._excess(p, local)
-
-    def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        if name == "k":
-            return local.power * self._excess(p, local)
-        return super().d_rate_dparameter(name, p, local)

@@ -109,8 +109,8 @@ class UserLaw(CheckedLaw):
         return self.file
 
     def defined(self, function: UserFunction) -> Callable[..., Any] | None:
-        """Return a function of the file; derivatives by parameters are not asked of it."""
-        return None if function == "d_rate_dparameter" else self._functions.get(function)
+        """Return a function of the file; None where it has none."""
+        return self._functions.get(function)
 
     @property
     def remembers(self) -> bool:
@@ -133,11 +133,6 @@ class UserLaw(CheckedLaw):
     def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
         return dict(self.parameters)[name.removeprefix(PARAMETERS)]
-
-    def with_parameter(self, name: str, values: Any) -> Self:
-        """Return the law with another number, or other values at the elements."""
-        changed = {**dict(self.parameters), name.removeprefix(PARAMETERS): values}
-        return replace(self, parameters=tuple(changed.items()))
 
     def describe(self) -> str:
         """Return the file's name with its parameters."""

@@ -1,4 +1,4 @@
-"""Keys of numbers that histories have derivatives with respect to."""
+"""Keys of the plain numbers of a case that its history depends on smoothly: they may be fitted."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,14 +6,8 @@ from typing import Any
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, key_of
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, legible
 from ringwear_par.wear.law import Law, parameters_of
 from ringwear_par.wear.layered import LayeredLaw
-
-#: names, like keys of a case, of a factor on all rates of a body, whose value is 1
-RATES = tuple(f"wear.{body}" for body in BODIES)
-#: keys whose number is a factor on the whole of a table in time, of value 1, where they have one
-SCHEDULES = ("contact.friction", "load.force", "load.omega")
 
 
 def elastic_numbers(case: Case) -> dict[str, str]:
@@ -35,11 +29,8 @@ def is_elastic(case: Case, keys: Sequence[str]) -> bool:
     return not elastic_numbers(case).keys().isdisjoint(keys)
 
 
-def differentiable(case: Case) -> dict[str, str]:
-    """Return the keys of a case that histories have derivatives with respect to, and their units.
-
-    Its plain numbers: of a law's parameters, those that rates have derivatives with respect to.
-    """
+def smooth_keys(case: Case) -> dict[str, str]:
+    """Return the plain numbers of a case that its history depends on smoothly, with units."""
     units: dict[str, str] = {}
     for body, law in zip(BODIES, case.laws, strict=True):
         if law is None:
@@ -80,37 +71,3 @@ def _unit(law: Law, name: str) -> str:
 
 def _is_number(quantity: Any) -> bool:
     return isinstance(quantity, float | int) and not isinstance(quantity, bool)
-
-
-def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
-    """Return the units of some of these keys."""
-    units = dict.fromkeys((*RATES, *SCHEDULES), "1") | differentiable(case) if keys else {}
-    return {key: units[key] for key in keys}
-
-
-def check_derivatives(case: Case, keys: Sequence[str]) -> None:
-    """Refuse keys that histories have no derivatives with respect to. Not collective.
-
-    Raises
-    ------
-    InputError : one sentence a key, or why this case has none at all.
-    """
-    if isinstance(keys, str) or not all(isinstance(key, str) for key in keys):
-        raise InputError(f"derivatives = {keys!r}: must be a list of keys, as ['wear.lower.k']")
-    if not keys:
-        return
-    if case.follows_wear:
-        raise InputError(
-            'derivatives: are not known with mesh.geometry = "updated"; must be "fixed" with them'
-        )
-    allowed = differentiable(case)
-    faults = [
-        f"derivatives: {legible(key)}: is no plain number of this case that its history depends "
-        f"on smoothly; must be one of {', '.join(allowed)}"
-        for key in keys
-        if key not in allowed
-    ]
-    twice = dict.fromkeys(key for key in keys if list(keys).count(key) > 1)
-    faults += [f"derivatives: {legible(key)}: must be named once" for key in twice]
-    if faults:
-        raise InputError(*faults)

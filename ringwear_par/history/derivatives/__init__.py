@@ -1,1 +1,0 @@
-"""What histories have derivatives with respect to."""
