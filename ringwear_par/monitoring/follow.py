@@ -2,14 +2,13 @@
 
 import json
 import logging
-import shlex
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -19,16 +18,16 @@ from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
-from ringwear_par.identification.draws import NEXT
+from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import Answer, lines_of, page_of, warnings_of
+from ringwear_par.monitoring.answer import lines_of, page_of
 from ringwear_par.monitoring.follower import Follower
 from ringwear_par.monitoring.histories import frame_of
-from ringwear_par.monitoring.monitor import Asked, Monitor
+from ringwear_par.monitoring.monitor import Monitor, Question
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
+from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
 from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.execution.stop_signals import StopSignals
@@ -96,112 +95,75 @@ def run_follow(
     fit: Any = after
     if after is None:
         fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
-    known = on_first_rank(comm, lambda: fit_knowledge(fit))
+    known = on_first_rank(comm, lambda: fit_draws(fit))
 
-    def read() -> _Followed:
-        return _followed(running, after, known)
+    def read() -> tuple[Problem, Question]:
+        problem, of, doubts = _followed(running, after, known)
+        # the first wear rate's interval is to become narrow
+        rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
+        return problem, Question((*rates, 0)[0], percent, mm, of, doubts)
 
-    options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
-    words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
-    command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])
     with StopSignals() as signals:
-        readings = Readings(on_first_rank(comm, read).problem, comm, signals)
+        readings = Readings(on_first_rank(comm, read)[0], comm, signals)
 
-        def monitor_of(followed: _Followed) -> Monitor:
+        def monitor_of(problem: Problem, question: Question) -> Monitor:
             readings.tell(f"histories of {legible(running.name)}")
-            problem, of = followed.problem, followed.specimen
-            followers = {"": Follower(known.draws, of, problem, readings, draws, seed)}
-            for law, other in problem.alternatives.items():  # by this rank alone
-                alone = Readings(other, MPI.COMM_SELF, signals)
-                followers[law] = Follower(known.laws[law], of, other, alone, draws, seed)
-            laws = {"": known.draws, **known.laws} if problem.alternatives else {}
-            evidences = {law: laws[law].log_evidence for law in followers if law in laws}
-            whom = of if of == NEXT else f"specimen {legible(of)}"
-            asked = Asked(_key_of(problem), percent, mm, whom, followed.doubts)
-            return Monitor(followers, known.draws, evidences, asked)
+            follower = Follower(known, question.of, problem, readings, draws, seed)
+            return Monitor(follower, known, question)
 
-        def lead() -> list[str]:
-            return _loop(
-                running, read, monitor_of, folder, command, once, lambda: bool(signals.received)
-            )
-
-        lines = readings.lead(lead)
+        stopped = lambda: bool(signals.received)  # noqa: E731
+        lines = readings.lead(lambda: _loop(running, read, monitor_of, folder, once, stopped))
     if comm.rank == 0:
         print("\n".join(lines))
 
 
-class _Followed(NamedTuple):
-    """A test that is followed, and of whom the draws are before it."""
+def _followed(
+    running: RunningTest, after: Path | None, draws: Draws
+) -> tuple[Problem, str, tuple[str, ...]]:
+    """Return the problem of a test, of whom the draws are before it, and the doubts about that.
 
-    #: of it alone, with the random wear that the fit knows, under all laws that are compared
-    problem: Problem
-    #: the next specimen, or one of the fit's
-    specimen: str
-    doubts: tuple[str, ...]
-
-
-def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> _Followed:
-    """Return a test with what a fit knows before it, or raise InputError. On one rank."""
+    Random wear is that which the fit knows. On one rank; InputError for another fit's test.
+    """
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
     if after and running.name in json.loads(read_text(after / FIT)).get("experiments", {}):
         raise InputError(
-            f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
+            f"{place}: is among the tests of {after}, so that its readings would count twice; "
             "must be followed after a fit without it"
         )
-    (experiment,), asked = problem.experiments, problem.alternatives
-    specimen = experiment.groups[0] or experiment.name
-    specimen = specimen if specimen in known.draws.specimens else NEXT
-    laws = {law: asked[law] for law in known.laws if law in asked}
-    if known.laws and (unknown := [law for law in asked if law not in laws]):
+    if problem.keys != draws.keys:
         raise InputError(
-            f"{running.source}: compare.{legible(unknown[0])}: was not compared by {known.name}; "
-            f"must be {' or '.join(map(legible, known.laws))}, as there, or absent"
+            f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
+            "the fit of earlier tests"
         )
-    doubts = [doubt.text for doubt in doubts_of(known, experiment.case, specimen)]
-    doubts += [
-        f"law {legible(law)} is not compared: {known.name} has no draws of it"
-        for law in asked if not known.laws
-    ]  # fmt: skip
-    if problem.settings.loss != "gaussian" and laws:
-        laws = {}
-        doubts.append(f'laws are not compared: loss = "{problem.settings.loss}" has no evidence')
-    pairs = [(problem, known.draws), *((law, known.laws[name]) for name, law in laws.items())]
-    for of_law, draws in pairs:
-        if of_law.keys != draws.keys:
-            raise InputError(
-                f"{of_law.name}: fits {', '.join(of_law.keys)}; must be {', '.join(draws.keys)}, "
-                f"as {known.name}"
-            )
-        check_predicted(draws, of_law.experiments[0].case, of_law.name, specimen)
-    sizes = zip(BODIES, known.draws.process.T, strict=True)
+    (test,) = problem.experiments
+    of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
+    check_predicted(draws, test.case, problem.name, of)
+    sizes = zip(BODIES, draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    settings = replace(problem.settings, process=process)
-    laws = {name: replace(law, settings=settings) for name, law in laws.items()}
-    problem = replace(problem, settings=settings, alternatives=laws)
-    return _Followed(problem, specimen, tuple(doubts))
+    problem = replace(problem, settings=replace(problem.settings, process=process))
+    return problem, of, tuple(doubt.text for doubt in doubts_of(draws, test.case, of))
 
 
 def _loop(
     running: RunningTest,
-    read: Callable[[], _Followed],
-    monitor_of: Callable[[_Followed], Monitor],
+    read: Callable[[], tuple[Problem, Question]],
+    monitor_of: Callable[[Problem, Question], Monitor],
     folder: Path,
-    command: str,
     once: bool,
     stopped: Callable[[], bool],
 ) -> list[str]:
     """Answer whenever the files change, until the end of the test; return the last words."""
-    answer: Answer | None = None
-    stamps, warned, frame, said, alarmed, ended = None, "", None, -_PAUSE, False, False
+    answer: dict[str, Any] = {}
+    stamps, warned, frame, printed, alarmed, ended = None, "", None, -_PAUSE, False, False
     while not (ended or stopped()):
         if (present := running.file_stamps) == stamps:
             time.sleep(_LOOK)
             continue
         stamps = present
         try:
-            followed = read()
-            if frame_of(followed.problem) != frame:
-                monitor, frame = monitor_of(followed), frame_of(followed.problem)
+            problem, question = read()
+            if frame_of(problem) != frame:
+                monitor, frame = monitor_of(problem, question), frame_of(problem)
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -211,36 +173,27 @@ def _loop(
             continue
         except StoppedError:
             break
-        answer = monitor.answer(followed.problem)
-        content, ended = {**answer, "versions": versions()}, once or answer["ended"]
-        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, content)})
-        alarm = answer["alarm"] is not None and not alarmed
-        if not ended and (alarm or time.monotonic() - said > _PAUSE):
-            _write_page(folder, answer, monitor, command)
-            warnings = warning_lines(warnings_of(answer) if alarm else [])
-            print("\n".join([*lines_of(answer), *warnings]), flush=True)
-            said, alarmed = time.monotonic(), alarmed or alarm
-    if answer is None:
+        answer = {**monitor.answer(problem), "versions": versions()}
+        answer["summary"], ended = lines_of(answer), once or answer["ended"]
+        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, answer)})
+        alarm = answer["alarm"] is not None
+        if not ended and (alarm > alarmed or time.monotonic() - printed > _PAUSE):
+            _write_page(folder / PAGE, answer, monitor)
+            print("\n".join(answer["summary"]), flush=True)
+            printed, alarmed = time.monotonic(), alarm
+    if not answer:
         raise StoppedError("stopped before the first answer")
-    written = _write_page(folder, answer, monitor, command)
-    return [*lines_of(answer), *warning_lines(warnings_of(answer)), *written]
+    written = _write_page(folder / PAGE, answer, monitor)
+    return [*answer["summary"], *written, f"written: {folder / FOLLOW}"]
 
 
-def _write_page(folder: Path, answer: Answer, monitor: Monitor, command: str) -> list[str]:
-    """Write the page of an answer; return what stands in the folder, and why there is no page."""
-    outcome, page = folder / FOLLOW, folder / PAGE
+def _write_page(page: Path, answer: dict[str, Any], monitor: Monitor) -> list[str]:
+    """Write the page of an answer; return a line about it."""
     try:
         check_page(page)
     except InputError as error:
-        return [*warning_lines([str(error)]), f"written: {outcome}"]
-    write_page(page_of(answer, monitor.record(), command, versions()), page)
-    return [f"written: {outcome}, {page}"]
-
-
-def _key_of(problem: Problem) -> int:
-    """Return the number of the key whose interval is to become narrow: the first wear rate."""
-    logarithmic = (n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key)
-    return next(logarithmic, 0)
+        return warning_lines([str(error)])
+    return [f"written: {write_page(page_of(answer, monitor.record()), page)}"]
 
 
 def _percent(text: str, faults: list[str]) -> float:

@@ -55,8 +55,6 @@ class Specimen:
     shares: FloatArray
     #: None before any reading
     likelihood: EmulatedLikelihood | None = None
-    #: logarithm of the probability density of the readings, but for a constant of theirs
-    log_evidence: float = 0.0
     #: how often the draws were made anew
     redraws: int = 0
 
@@ -69,6 +67,13 @@ class Specimen:
         """Return 1 and the coordinates, (count, 1 + r), of draws as often as they weigh."""
         rows = np.random.default_rng(count).choice(len(self.weights), count, p=self.weights)
         return np.column_stack([np.ones(count), self.coordinates[rows]])
+
+    def quantiles(self, values: FloatArray, probabilities: FloatArray) -> FloatArray:
+        """Return quantiles of values (s,) of the draws."""
+        order = np.argsort(values)
+        centred = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
+        between: FloatArray = np.interp(probabilities, centred, values[order])
+        return between
 
 
 class Follower:
@@ -117,30 +122,30 @@ class Follower:
 
     def update(self, test: Experiment) -> Specimen:
         """Return the draws by the readings of a test."""
-        found, loss = self.before, self.problem.settings.loss
+        specimen, loss = self.before, self.problem.settings.loss
         if not test.series:
-            return found
+            return specimen
         emulator, setting = self.histories.emulator_of(test), self.histories.setting_of(test, loss)
-        found = self._weighed(test, setting, found)
+        specimen = self._weighed(test, setting, specimen)
         if needs_middle(self.problem):  # which these draws tell
-            assert found.likelihood is not None
-            some = found.chosen(_JUDGED) @ np.vstack([emulator.mean, emulator.modes])
-            likelihood, middle = found.likelihood.likelihood, self.middle(found, test)
+            assert specimen.likelihood is not None
+            some = specimen.chosen(_JUDGED) @ np.vstack([emulator.mean, emulator.modes])
+            likelihood, middle = specimen.likelihood.likelihood, self.middle(specimen, test)
             times = likelihood.with_times_that_count(some).times
             setting = replace(likelihood.adapted(middle, loss), times=times)
-            found = self._weighed(test, setting, found)
-        return found
+            specimen = self._weighed(test, setting, specimen)
+        return specimen
 
-    def middle(self, found: Specimen, test: Experiment) -> FloatArray:
+    def middle(self, specimen: Specimen, test: Experiment) -> FloatArray:
         """Return readings (n,) of a test by the mean history."""
         emulator = self.histories.emulator_of(test)
-        return emulator.mean + found.weights @ found.coordinates @ emulator.modes
+        return emulator.mean + specimen.weights @ specimen.coordinates @ emulator.modes
 
-    def likelihood_like(self, found: Specimen, test: Experiment) -> TestLikelihood:
-        """Return the likelihood of other readings: noise and growth times as was found."""
+    def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
+        """Return the likelihood of other readings: noise and growth times as of the specimen's."""
         setting, known = self.histories.setting_of(test, "gaussian"), {}
-        if found.likelihood is not None:
-            old = found.likelihood.likelihood
+        if specimen.likelihood is not None:
+            old = specimen.likelihood.likelihood
             for i, (s, part) in enumerate(records(old.test.series)):
                 scale = float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
                 known[s.name] = scale, old.setting.times.get(i)
@@ -149,20 +154,20 @@ class Follower:
             i: known.get(test.series[i].name, (1.0, None))[1] or ends
             for i, ends in setting.times.items()
         }
-        likelihood = TestLikelihood(test, replace(setting, sd=sd, times=times), found.shares)
+        likelihood = TestLikelihood(test, replace(setting, sd=sd, times=times), specimen.shares)
         if self.problem.settings.loss == "gaussian":
             return likelihood
-        adapted = likelihood.adapted(self.middle(found, test), self.problem.settings.loss)
-        return TestLikelihood(test, adapted, found.shares)
+        adapted = likelihood.adapted(self.middle(specimen, test), self.problem.settings.loss)
+        return TestLikelihood(test, adapted, specimen.shares)
 
     def _weighed(self, test: Experiment, setting: Setting, about: Specimen) -> Specimen:
         """Return the draws by a likelihood, whose noise is that about some others."""
         likelihood = EmulatedLikelihood(
             TestLikelihood(test, setting, about.shares), self.histories.emulator_of(test)
         )
-        random, before = np.random.default_rng(self._seed + 1), self.before
-        x, coordinates = before.unknowns, before.coordinates
-        left, evidence, redraws = 1.0, 0.0, 0
+        random = np.random.default_rng(self._seed + 1)
+        x, coordinates = self.before.unknowns, self.before.coordinates
+        left, redraws = 1.0, 0
         while True:
             lots = np.array_split(np.arange(len(x)), 1 + len(x) // _LOT)
             shares = self._shares(x, coordinates)
@@ -170,10 +175,9 @@ class Follower:
             power, enough = left, min(_ENOUGH, _SHARE * len(x))
             while _effective(power * log_p) < enough:
                 power *= _LESS
-            evidence += float(logsumexp(power * log_p)) - np.log(len(x))
             if power == left:
-                found = self._specimen(x, coordinates, power * log_p)
-                return replace(found, likelihood=likelihood, log_evidence=evidence, redraws=redraws)
+                specimen = self._specimen(x, coordinates, power * log_p)
+                return replace(specimen, likelihood=likelihood, redraws=redraws)
             left, redraws = left - power, redraws + 1
             x = self._made_anew(x, softmax(power * log_p), random)
             coordinates = self._coordinates(x)

@@ -38,18 +38,17 @@ _SHARE = 0.05
 def frame_of(problem: Problem) -> tuple[Hashable, ...]:
     """Return all of a problem of one test but its readings over time, which histories are for."""
     (test,) = problem.experiments
-    frame: list[Hashable] = [problem.parameters, str(problem.settings)]
-    for s in test.series:
-        fixed = b"" if READING_KINDS[s.kind].values else s.x.tobytes()
-        frame += [s.name, s.at, s.nuisances, s.correlation_time, s.sd_fitted, fixed]
-    return (*frame, test.case.text, *(frame_of(law) for law in problem.alternatives.values()))
+    fixed = (s.x.tobytes() for s in test.series if READING_KINDS[s.kind].values is None)
+    return (problem.text, test.case.text, *fixed)
 
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
     """Return a test with some of its readings (n,), without series that their nuisances explain."""
     parts = [series.part(rows[place]) for series, place in records(test.series)]
-    told = (s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None))
-    return replace(test, series=tuple(told))
+    informative = (
+        s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None)
+    )
+    return replace(test, series=tuple(informative))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,15 +132,16 @@ class Histories:
         history = Trajectory(
             self.time, parts["all approach"], parts["all torque"], volume, nothing, mass, nothing
         )
-        breaks, found = (0.0, *test.case.breakpoints, test.case.time.end), []
+        breaks, readings = (0.0, *test.case.breakpoints, test.case.time.end), []
         for series in test.series:
             values = READING_KINDS[series.kind].values
             if values is None:
-                found.append(parts[series.name])
+                readings.append(parts[series.name])
             else:
                 between = TimeInterpolation(self.time, series.x, breaks)
-                found.append(between(values(history, BODIES.index(series.body), series.density)))
-        return np.concatenate(found)
+                read = values(history, BODIES.index(series.body), series.density)
+                readings.append(between(read))
+        return np.concatenate(readings)
 
     def emulator_of(self, test: Experiment) -> Emulator:
         """Return the emulator of the readings of a test."""

@@ -1,4 +1,4 @@
-"""Whether readings are as expected, when they will tell enough, and when a depth is reached."""
+"""Whether readings are as expected, when they will be enough, and when a depth is reached."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ _PREDICTED, _DRAWS = 1000, 2000
 _TIMES = 9
 
 
-def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArray) -> float:
+def surprise(follower: Follower, specimen: Specimen, test: Experiment, new: BoolArray) -> float:
     """Return how probable it is that new readings are so far from what old ones lead to expect.
 
     By mean and covariance of the new readings over draws and growth times, nuisances and random
@@ -29,12 +29,13 @@ def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArr
 
     Parameters
     ----------
-    found : by the old readings.
+    specimen : by the old readings.
     test : whose readings (n,) are new or old.
     """
-    assert found.likelihood is not None
-    random, v = np.random.default_rng(0), found.chosen(_PREDICTED)
-    old, emulator = found.likelihood.likelihood, found.likelihood.emulator
+    if specimen.likelihood is None:
+        return 1.0
+    random, v = np.random.default_rng(0), specimen.chosen(_PREDICTED)
+    old, emulator = specimen.likelihood.likelihood, specimen.likelihood.emulator
     by_node = old.by_node(v @ np.vstack([emulator.mean, emulator.modes]))
     growing = {
         old.test.series[i].name: logs
@@ -42,7 +43,7 @@ def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArr
         for i in growth.series
     }
     emulator = follower.histories.emulator_of(test)
-    likelihood = follower.likelihood_like(found, test)
+    likelihood = follower.likelihood_like(specimen, test)
     new = new & ~np.isin(np.arange(test.n), likelihood.limits)
     off, spread, freedom = [], [], np.inf
     for part, (noise, growth) in zip(likelihood.parts, likelihood.noises, strict=True):
@@ -73,7 +74,7 @@ def surprise(follower: Follower, found: Specimen, test: Experiment, new: BoolArr
 
 
 def time_to_goal(
-    follower: Follower, found: Specimen, test: Experiment, key: int, ratio: float, now: float
+    follower: Follower, specimen: Specimen, test: Experiment, key: int, ratio: float, now: float
 ) -> tuple[float | None, float]:
     """Return when the sd of a key is so much less, s, or None; and how much less at the end.
 
@@ -86,9 +87,10 @@ def time_to_goal(
     """
     end, m = test.case.time.end, follower.m
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    times, x = planned.times, found.unknowns[:, :m] - found.weights @ found.unknowns[:, :m]
-    weighed = found.weights * x.T
-    slopes = np.linalg.pinv(weighed @ x, hermitian=True) @ weighed @ found.coordinates
+    times, x = planned.times, specimen.unknowns[:, :m]
+    x = x - specimen.weights @ x
+    weighed = specimen.weights * x.T
+    slopes = np.linalg.pinv(weighed @ x, hermitian=True) @ weighed @ specimen.coordinates
     by_key = (slopes @ follower.histories.emulator.modes).T
     before = np.linalg.inv(np.atleast_2d(np.cov(follower.before.unknowns[:, :m].T)))
     at, sds = np.linspace(now, end, _TIMES), []
@@ -97,7 +99,7 @@ def time_to_goal(
         part = part_of(planned, times <= time * (1.0 + 1e-9))
         if part.series:
             jacobian = follower.histories.read(by_key, part)
-            for noise, growth in follower.likelihood_like(found, part).noises:
+            for noise, growth in follower.likelihood_like(specimen, part).noises:
                 white = noise(jacobian[noise.rows])
                 taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
                 information = information + white.T @ white - taken.T @ taken
@@ -117,20 +119,20 @@ def _to_end(series: Series, end: float) -> Series:
     return averaged(replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None), end)
 
 
-def time_to(follower: Follower, found: Specimen, depth: float) -> FloatArray:
+def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
     """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
 
-    Wear that is random is a Gaussian process here, of which the readings tell the past.
+    Wear that is random is a Gaussian process here, whose past the readings tell.
     """
-    histories, v, random = follower.histories, found.chosen(_DRAWS), np.random.default_rng(1)
+    histories, v, random = follower.histories, specimen.chosen(_DRAWS), np.random.default_rng(1)
     approach, time = histories.at_steps("approach"), histories.time
     depths, steps = v @ (approach - approach[0]).T, len(time)
     for body, key in enumerate(follower.problem.settings.process):
-        most, share = follower.most[body], found.shares[body]
+        most, share = follower.most[body], specimen.shares[body]
         clock = histories.at_steps(f"depth.{body_of_wear(key)}") @ histories.middle / most
         variance, excess = (share * most) ** 2 * np.minimum.outer(clock, clock), 0.0
-        if found.likelihood is not None:
-            old, emulator = found.likelihood.likelihood, found.likelihood.emulator
+        if specimen.likelihood is not None:
+            old, emulator = specimen.likelihood.likelihood, specimen.likelihood.emulator
             ((noise, growth),), (slope, worn) = old.noises, old.setting.clocks[body]
             readings = v @ np.vstack([emulator.mean, emulator.modes])
             node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
