@@ -201,7 +201,7 @@ FAULTS = [
     Fault("information of a next test", "identification/design/information.py",
           "sd=sd / np.sqrt(", "sd=2.0 * sd / np.sqrt(", "identification/design/test_design.py"),
     Fault("next specimens", "identification/design/information.py",
-          "+ own * scatter, own)", "+ own / scatter, own)",
+          "+ alone * scatter, alone)", "+ alone / scatter, alone)",
           "identification/design/test_design.py::test_only_the_number_of_specimens_matters"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",
