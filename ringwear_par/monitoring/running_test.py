@@ -15,7 +15,6 @@ from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.scatter import check_scatter
-from ringwear_par.identification.definition.schema import FEWEST_READINGS
 
 _MARKS = b"\xff\xfe", b"\xfe\xff"
 
@@ -96,12 +95,6 @@ class RunningTest:
         return GrowingFiles(self.source.parent, self.files)
 
     @property
-    def missing(self) -> list[Path]:
-        """Its files that have too few whole lines for any nuisances yet, that of names included."""
-        paths = [self.source.parent / name for name in sorted(self.files)]
-        return [path for path in paths if _lines(path) <= FEWEST_READINGS]
-
-    @property
     def file_stamps(self) -> list[tuple[int, int, int]]:
         """What changes when the fit file or one of the test's files is written to."""
         stamps = []
@@ -150,10 +143,3 @@ class RunningTest:
             raise InputError(*faults)
         series = tuple(averaged(record, test.case.time.end) for record in test.series)
         return replace(problem, experiments=(replace(test, series=series),), alternatives={})
-
-
-def _lines(path: Path) -> int:
-    try:
-        return path.read_bytes().count(b"\n")
-    except (OSError, ValueError):
-        return 0

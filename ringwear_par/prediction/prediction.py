@@ -124,7 +124,6 @@ class Prediction(Outcome):
     failed: int = 0
     #: mm of penetration, whose time the summary says; None: none
     depth: float | None = None
-    versions: Mapping[str, str] = field(default_factory=versions)
 
     @property
     def whose(self) -> str:
@@ -177,7 +176,7 @@ class Prediction(Outcome):
             },
             "depth": None if depth is None else {"depth": depth, **self.time_to(depth)._asdict()},
             "doubts": [doubt.to_dict() for doubt in self.doubts], "case": self.case,
-            "versions": dict(self.versions),
+            "versions": versions(),
         }  # fmt: skip
         return {**content, "summary": _lines(content)}
 
@@ -220,7 +219,7 @@ class Prediction(Outcome):
     @property
     def _attributes(self) -> dict[str, Any]:
         about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
-        return {"software": SOFTWARE, **about, **self.versions}
+        return {"software": SOFTWARE, **about, **versions()}
 
     def _variables(self) -> list[tuple[Variable, Any]]:
         """Return all variables with their values: histories over (draw, step), values over draw."""

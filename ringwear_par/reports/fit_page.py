@@ -306,7 +306,6 @@ def _designed(outcome: Mapping[str, Any]) -> page.Section:
         ]
         for number, design in enumerate(outcome["designs"], start=1)
     ]
-    rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
     rows.append(["today", "none", _DASH, *sds(outcome["today"])])
     units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
              for key, scale in scales.items()}  # fmt: skip

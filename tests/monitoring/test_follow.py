@@ -26,10 +26,8 @@ from scipy.special import logsumexp
 
 import ringwear_par as rw
 from ringwear_par.monitoring.follow import run_follow
-from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.histories import part_of
-from ringwear_par.monitoring.monitor import Monitor, Question
-from ringwear_par.monitoring.outlook import time_to
+from ringwear_par.monitoring.follower import Follower, part_of
+from ringwear_par.monitoring.monitor import Monitor, Question, time_to
 from ringwear_par.monitoring.running_test import RunningTest
 
 pytestmark = pytest.mark.slow
@@ -342,9 +340,10 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(folder, capsys):
     faster = [f"{t},{float(z) + 0.2 * max(float(t) - 60.0, 0.0):.6g}\n" for t, z in rows]
     path = folder / "grown.csv"
 
+    path.write_text(lines[0] + "".join(faster[:10]))
+
     def grow():
-        path.write_text(lines[0] + "".join(faster[:10]))
-        time.sleep(0.5)
+        time.sleep(2.0)
         path.write_text(lines[0])  # truncated
         with path.open("a") as file:
             for line in faster:

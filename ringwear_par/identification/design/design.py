@@ -37,7 +37,6 @@ from ringwear_par.pictures.key_panels import design_panels
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.execution.stop_signals import StopSignals
-from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
@@ -82,8 +81,6 @@ class DesignResult(Outcome):
     candidates: tuple[Candidate, ...]
     #: (c, d, m, m) information in each about the unknowns of the material, at each draw
     information: FloatArray
-    #: what the tests of the fit file would tell
-    planned_information: FloatArray
     #: folder of the earlier fit that counts, "" for none
     after: str
     #: tests that have no history, and why the first one has none
@@ -91,18 +88,11 @@ class DesignResult(Outcome):
     reason: str
     #: number of histories
     histories: int
-    #: of the software
-    versions: Mapping[str, str]
 
     @property
     def today(self) -> Design:
         """What is known without further tests."""
-        return self._design(np.zeros_like(self.planned_information))
-
-    @property
-    def planned(self) -> Design:
-        """What is known after the tests of the fit file."""
-        return self._design(self.planned_information)
+        return self._design(np.zeros_like(self.information[0]))
 
     @property
     def single(self) -> FloatArray:
@@ -225,8 +215,7 @@ class DesignResult(Outcome):
             "failed": [test.to_dict() for test in self.failed], "reason": self.reason or None,
             "histories": self.histories, "measured_as": problem.experiments[0].name,
             "sd_scales": scales, "designs": designs, "today": entry(self.today),
-            "fit_file": entry(self.planned), "only_number_matters": self._only_number(),
-            "versions": dict(self.versions),
+            "only_number_matters": self._only_number(), "versions": versions(),
         }  # fmt: skip
 
     def summary(self) -> str:
@@ -253,11 +242,8 @@ class DesignResult(Outcome):
                 f"each test is of a new specimen, and {', '.join(scattering)} differs between "
                 "specimens, by as much as is taken as known; numbers below are of the material"
             )
-        seconds = sum(experiment.case.time.end for experiment in problem.experiments)
         rows = [("today", content["today"])]
         rows += [(design["name"], design) for design in content["designs"][:_SHOWN]]
-        again = " again" * bool(self.after)
-        rows.append((f"the fit file's{again}, {time_words(seconds, seconds)}", content["fit_file"]))
         width = max(len(name) for name, _ in rows)
         for name, design in rows:
             sds = "; ".join(
@@ -326,7 +312,7 @@ def design(
     Raises
     ------
     InputError : all faults of the file and its data, or of the earlier fit.
-    ComputationError : a test of the fit file has no history, or too few candidates have one.
+    ComputationError : too few candidates have a history.
 
     Examples
     --------
@@ -346,23 +332,18 @@ def design(
         return problem, before, candidates(problem.design, problem.experiments[0])
 
     problem, before, tests = on_first_rank(comm, read)
-    existing = len(problem.experiments)
-    whole = (*problem.experiments, *dict.fromkeys(test.experiment for test in tests))
-    parts: list[tuple[int, Any]] = [
-        (i, range(len(t.series))) for i, t in enumerate(whole[:existing])
-    ]
-    parts += [(whole.index(test.experiment), test.series) for test in tests]
+    # whose depths shares of random wear are of
+    existing = problem.experiments if problem.settings.process else ()
+    whole = (*existing, *dict.fromkeys(test.experiment for test in tests))
+    parts = [(whole.index(test.experiment), test.series) for test in tests]
     # signals are not waited for: there is nothing to keep
     readings = Readings(replace(problem, experiments=whole, alternatives={}), comm, StopSignals())
 
     def lead() -> DesignResult:
-        information = informations(readings, before, existing, parts)
+        information = informations(readings, before, len(existing), parts)
         good, space = np.isfinite(information).all(axis=(1, 2, 3)), problem.design
-        if not good[:existing].all():
-            name = whole[int(np.argmin(good))].name
-            raise ComputationError(f'{problem.name}: experiment "{name}": {readings.reason}')
-        left = tuple(itertools.compress(tests, good[existing:]))
-        failed = tuple(itertools.compress(tests, ~good[existing:]))
+        left = tuple(itertools.compress(tests, good))
+        failed = tuple(itertools.compress(tests, ~good))
         shortest = min((test.seconds for test in left), default=np.inf)
         if shortest * space.experiments > space.time_limit or not left:
             raise ComputationError(
@@ -370,9 +351,8 @@ def design(
                 f"which leaves too few: {readings.reason}"
             )
         result = DesignResult(
-            problem, before, left, information[existing:][good[existing:]],
-            information[:existing].sum(axis=0), str(after or ""), failed, readings.reason,
-            readings.count, versions(),
+            problem, before, left, information[good], str(after or ""), failed, readings.reason,
+            readings.count,
         )  # fmt: skip
         assert result.designs  # once, on this rank
         return result

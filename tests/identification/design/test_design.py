@@ -201,14 +201,3 @@ def test_the_folder(tables, laboratory, tmp_path, comm, capsys):
     output = capsys.readouterr().out
     assert "2 of 15 tests" in output
     assert best["name"] in output
-
-
-def test_a_planned_design_says_what_the_design_said(tables, comm):
-    """Experiments of the fit file with the best loads are as good as the best candidates."""
-    source = tables()
-    best = rw.design(source, comm)
-    for entry, i in zip(source["experiment"], best.designs[0].tests, strict=False):
-        entry["set"]["load.pressure"] = best.candidates[i].loads[0]
-    source["experiment"] = source["experiment"][:2]
-    planned = rw.design(source, comm).planned
-    assert planned.sd == pytest.approx(best.designs[0].sd, rel=1e-6)
