@@ -113,8 +113,7 @@ def run_follow(
 
         def monitor_of(problem: Problem, question: Question) -> Monitor:
             readings.tell(f"histories of {legible(running.name)}")
-            follower = Follower(known, question.of, problem, readings, draws, seed)
-            return Monitor(follower, known, question)
+            return Monitor(Follower(known, question.of, problem, readings, draws, seed), question)
 
         stopped = lambda: bool(signals.received)  # noqa: E731
         lines = readings.lead(lambda: _loop(running, read, monitor_of, folder, once, stopped))
@@ -184,12 +183,16 @@ def _loop(
         alarm = answer["alarm"] is not None
         if not ended and (alarm > alarmed or time.monotonic() - printed > _PAUSE):
             _write_page(folder / PAGE, answer, monitor)
-            print("\n".join(answer["summary"]), flush=True)
+            print("\n".join(_printed(answer)), flush=True)
             printed, alarmed = time.monotonic(), alarm
     if not answer:
         raise StoppedError("stopped before the first answer")
     written = _write_page(folder / PAGE, answer, monitor)
-    return [*answer["summary"], *written, f"written: {folder / FOLLOW}"]
+    return [*_printed(answer), *written, f"written: {folder / FOLLOW}"]
+
+
+def _printed(answer: Mapping[str, Any]) -> list[str]:
+    return [*answer["summary"], *warning_lines(answer["doubts"])]
 
 
 def _write_page(page: Path, answer: dict[str, Any], monitor: Monitor) -> list[str]:
@@ -210,7 +213,7 @@ def _percent(text: str, faults: list[str]) -> float:
 
 
 def lines_of(answer: Mapping[str, Any]) -> list[str]:
-    """Return the contents of follow.json in lines of text, its warnings last."""
+    """Return the contents of follow.json in lines of text, but for its doubts."""
     goal, end, level = answer["goal"], answer["end"], f"{100 * answer['level']:g} %"
     time = f"{time_words(answer['time'], end)} of {time_words(end, end)}"
     lines = [f"{answer['test']}: {counted(answer['readings'], 'reading')} to {time}"]
@@ -222,30 +225,14 @@ def lines_of(answer: Mapping[str, Any]) -> list[str]:
             f"  {key}  {estimate} of this specimen  from {low:.3g} to {high:.3g} ({level}, "
             f"+-{entry['percent']:.2g} %; before the test {first:.3g} to {last:.3g})"
         )
-    expected = f", +-{goal['at_end']:.2g} % is expected there" if goal["time"] is None else ""
-    lines.append(f"  {goal['key']} to +-{goal['percent']:g} %: {_left(answer)}{expected}")
+    when = f"not before the end, +-{goal['at_end']:.2g} % is expected there"
+    if goal["time"] is not None:
+        left = goal["time"] - answer["time"]
+        when = "reached" if left <= 0.0 else f"in {time_words(left, end)}"
+    lines.append(f"  {goal['key']} to +-{goal['percent']:g} %: {when}")
     if answer["depth"] is not None:
         lines.append(f"  {depth_line(answer['depth'], end)}")
-    return [*lines, *warning_lines(_warnings(answer))]
-
-
-def _warnings(answer: Mapping[str, Any]) -> list[str]:
-    if (alarm := answer["alarm"]) is None:
-        return answer["doubts"]
-    sentence = (
-        f"alarm: readings leave the predicted band from {time_words(alarm['time'], answer['end'])} "
-        f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the rig; all "
-        "numbers are of the readings before"
-    )
-    return [sentence, *answer["doubts"]]
-
-
-def _left(answer: Mapping[str, Any]) -> str:
-    """Return how long it takes to the goal, in words."""
-    if (time := answer["goal"]["time"]) is None:
-        return "not before the end"
-    left = time - answer["time"]
-    return "reached" if left <= 0.0 else f"in {time_words(left, answer['end'])}"
+    return lines
 
 
 def page_of(answer: Mapping[str, Any], record: Panel | None) -> blocks.Page:
@@ -256,41 +243,22 @@ def page_of(answer: Mapping[str, Any], record: Panel | None) -> blocks.Page:
     record : the readings with their band; None: there is none.
     """
     unit, seconds = time_unit(answer["end"])
-    goal, warnings = answer["goal"], _warnings(answer)
-    key, level = answer["keys"][goal["key"]], f"{100 * answer['level']:g} %"
-    numbers, unit_of_key = users_numbers(key)
+    key, level = answer["goal"]["key"], f"{100 * answer['level']:g} %"
+    numbers, unit_of_key = users_numbers(answer["keys"][key])
     time, *ends = np.array(answer["trace"]).T
     time, (low, median, high) = time / seconds, np.array(ends) / numbers["scale"]
     of_key = Panel(
-        Axis(f"time ({unit})"), Axis(f"{goal['key']} ({in_signs(unit_of_key or '1')})"),
+        Axis(f"time ({unit})"), Axis(f"{key} ({in_signs(unit_of_key or '1')})"),
         "by the readings until then",
         curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
         bands=[Band(time, low, high, level, ("low", "high"))],
     )  # fmt: skip
-    charts = [
-        blocks.Chart("key", of_key, f"{goal['key']} and its interval over the time of the test")
-    ]
+    charts = [blocks.Chart("key", of_key, f"{key} and its interval over the time of the test")]
     if record is not None:
-        words = "Readings, and histories of this specimen"
-        charts.append(blocks.Chart("record", record, words))
-    fine, until = answer["alarm"] is None, time_words(answer["time"], answer["end"])
-    tiles = [
-        blocks.Tile(goal["key"], f"{numbers['estimate']:.3g}", in_signs(unit_of_key),
-                    with_signs(f"+-{key['percent']:.2g} %")),
-        blocks.Tile(with_signs(f"to +-{goal['percent']:g} %"), _left(answer)),
-        blocks.Tile("readings", "as expected" if fine else "alarm",
-                    note=f"{answer['readings']} to {until}", good=fine),
-    ]  # fmt: skip
-    lines = lines_of(answer)[: -len(warnings) or None]
-    summary: list[blocks.Block] = [
-        blocks.Tiles(tiles),
-        blocks.Lines([with_signs(line) for line in lines]),
-    ]
-    summary += [blocks.Lines(warnings, warning=True)] * bool(warnings)
-    software = blocks.software(answer["versions"])
-    sections = [
-        blocks.Section("Summary", summary), blocks.Section("Over time", [blocks.Charts(charts)]),
-        blocks.Section("How to reproduce", [software]),
-    ]  # fmt: skip
+        charts.append(blocks.Chart("record", record, "Readings, and histories of this specimen"))
+    summary: list[blocks.Block] = [blocks.Lines([*map(with_signs, answer["summary"])])]
+    summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
+    over_time = blocks.Section("Over time", [blocks.Charts(charts)])
+    sections = [blocks.Section("Summary", summary), over_time]
     refresh = 0 if answer["ended"] else _REFRESH
     return blocks.Page("Running test", answer["test"], sections, refresh=refresh)

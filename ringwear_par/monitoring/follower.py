@@ -209,13 +209,6 @@ class Specimen:
     shares: FloatArray
     #: None before any reading
     likelihood: EmulatedLikelihood | None = None
-    #: how often the draws were made anew
-    redraws: int = 0
-
-    @property
-    def effective(self) -> float:
-        """How many draws of equal weights they are worth."""
-        return float(1.0 / (self.weights @ self.weights))
 
     def chosen(self, count: int) -> FloatArray:
         """Return 1 and the coordinates, (count, 1 + r), of draws as often as they weigh."""
@@ -248,7 +241,7 @@ class Follower:
     ) -> None:
         bodies = [body_of_wear(key) for key in problem.settings.process]
         x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
-        self.m, self._seed, self.problem = x.shape[1], seed, problem
+        self.draws, self.m, self._seed, self.problem = draws, x.shape[1], seed, problem
         self.histories = histories = Histories.of(readings, problem, x)
         # (bodies, 1 + r) at the end of the test
         depths = np.array([histories.at_steps(f"depth.{body}")[-1] for body in bodies])
@@ -321,7 +314,7 @@ class Follower:
         )
         random = np.random.default_rng(self._seed + 1)
         x, coordinates = self.before.unknowns, self.before.coordinates
-        left, redraws = 1.0, 0
+        left = 1.0
         while True:
             lots = np.array_split(np.arange(len(x)), 1 + len(x) // _LOT)
             shares = self._shares(x, coordinates)
@@ -331,8 +324,8 @@ class Follower:
                 power *= _LESS
             if power == left:
                 specimen = self._specimen(x, coordinates, power * log_p)
-                return replace(specimen, likelihood=likelihood, redraws=redraws)
-            left, redraws = left - power, redraws + 1
+                return replace(specimen, likelihood=likelihood)
+            left -= power
             x = self._made_anew(x, softmax(power * log_p), random)
             coordinates = self._coordinates(x)
 

@@ -21,14 +21,14 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
     records,
 )
-from ringwear_par.identification.draws import NEXT, Draws
+from ringwear_par.identification.draws import NEXT
 from ringwear_par.identification.likelihood import drawn_nodes
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen, part_of
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo, times_at
-from ringwear_par.results.key_numbers import time_unit
+from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: windows of a test in which readings are compared with what is expected of them, and the
@@ -42,6 +42,8 @@ _ROUGH, _AT_EDGES, _EDGE = 2e-3, 0.01, 0.97
 _PREDICTED, _DRAWS = 1000, 2000
 #: times at which the sd of a key is expected
 _TIMES = 9
+#: quantities of records that are drawn
+_RECORDED = ("penetration", "approach", "torque")
 #: share of its time from which on a test has ended
 _ENDED = 0.999
 
@@ -61,16 +63,10 @@ class Question:
 
 
 class Monitor:
-    """Answers to the readings of a running test. On the first rank, within ``Readings.lead``.
+    """Answers to the readings of a running test. On the first rank, within ``Readings.lead``."""
 
-    Parameters
-    ----------
-    follower : of its specimen.
-    draws : of the fit before.
-    """
-
-    def __init__(self, follower: Follower, draws: Draws, question: Question) -> None:
-        self._follower, self._draws, self._question = follower, draws, question
+    def __init__(self, follower: Follower, question: Question) -> None:
+        self._follower, self._draws, self._question = follower, follower.draws, question
         tail = 0.5 * (1.0 - follower.problem.settings.level)
         self._tails = np.array([tail, 0.5, 1.0 - tail])
         self._before = self._intervals(follower.before)
@@ -123,9 +119,8 @@ class Monitor:
             "depth": depth, "alarm": alarm, "trace": trace,
             "goal": {"key": key, "percent": question.percent, "time": time,
                      "at_end": percent * less},
-            "draws": len(specimen.weights), "effective_count": specimen.effective,
-            "redraws": specimen.redraws, "interpolated": follower.histories.error,
-            "doubts": [*question.doubts, *self._doubts(specimen)],
+            "interpolated": follower.histories.error,
+            "doubts": self._doubts(specimen, alarm, end),
         }  # fmt: skip
 
     def _window(
@@ -164,8 +159,17 @@ class Monitor:
             keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
         return keys
 
-    def _doubts(self, specimen: Specimen) -> list[str]:
-        doubts, histories = [], self._follower.histories
+    def _doubts(self, specimen: Specimen, alarm: dict[str, float] | None, end: float) -> list[str]:
+        """Return what speaks against the numbers, an alarm first."""
+        doubts, histories = [*self._question.doubts], self._follower.histories
+        if alarm is not None:
+            time = time_words(alarm["time"], end)
+            sentence = (
+                f"alarm: readings leave the predicted band from {time} on "
+                f"(p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
+                "rig; all numbers are of the readings before"
+            )
+            doubts = [sentence, *doubts]
         box = histories.emulator.box
         inside = box.inside(specimen.unknowns[:, : len(box.centre)])
         if specimen.weights @ (np.abs(inside) > _EDGE).any(axis=1) > _AT_EDGES:
@@ -183,12 +187,10 @@ class Monitor:
     def record(self) -> Panel | None:
         """Return the panel of the first record of penetration, approach or torque."""
         (specimen, test), follower = self._last, self._follower
-        known = [
-            record for quantity in ("penetration", "approach", "torque")
-            for record in records(test.series) if record[0].quantity == quantity
-        ]  # fmt: skip
-        if not known or specimen.likelihood is None:
+        known = [one for one in records(test.series) if one[0].quantity in _RECORDED]
+        if not known:
             return None
+        assert specimen.likelihood is not None
         (series, part), quantity = known[0], known[0][0].quantity
         steps = follower.histories.at_steps(quantity.replace("penetration", "approach"))
         steps = steps - steps[0] if quantity == "penetration" else steps

@@ -125,12 +125,6 @@ class Prediction(Outcome):
     #: mm of penetration, whose time the summary says; None: none
     depth: float | None = None
 
-    @property
-    def whose(self) -> str:
-        """Of whom the band is: without scatter, a fit knows of no other specimens than its own."""
-        known = all(doubt.code != "no-scatter" for doubt in self.doubts)
-        return self.of if known else "the specimens tested"
-
     def quantiles(
         self, quantity: str = "penetration", probabilities: Sequence[float] = PROBABILITIES
     ) -> FloatArray:
@@ -166,9 +160,12 @@ class Prediction(Outcome):
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of prediction.json."""
         depth = self.depth
+        # without scatter, a fit knows of no other specimens than its own
+        known = all(doubt.code != "no-scatter" for doubt in self.doubts)
         content = {
-            "of": self.of, "whose": self.whose, "fit": self.fit, "draws": len(self.values),
-            "failed": self.failed, "seed": self.seed, "keys": dict(self.keys),
+            "of": self.of, "whose": self.of if known else "the specimens tested",
+            "fit": self.fit, "draws": len(self.values), "failed": self.failed,
+            "seed": self.seed, "keys": dict(self.keys),
             "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
             "quantiles": {
                 name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}

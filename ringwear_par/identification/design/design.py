@@ -17,12 +17,12 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files.folders import BARS, DESIGN, check_folder, json_bytes, write_outcome
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
-from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.definition.problem import Criterion, FittedParameter, Problem
 from ringwear_par.identification.design.candidates import (
     INSTANTS,
     LOADS,
@@ -59,8 +59,6 @@ class Design:
 
     #: their candidates, by number
     tests: tuple[int, ...]
-    #: by the criterion, larger is better
-    score: float
     #: bits, information on all keys: one bit halves one sd
     gain: float
     #: (m,) predicted standard deviations of the keys' values; infinite: not identified
@@ -83,8 +81,8 @@ class DesignResult(Outcome):
     information: FloatArray
     #: folder of the earlier fit that counts, "" for none
     after: str
-    #: tests that have no history, and why the first one has none
-    failed: tuple[Candidate, ...]
+    #: number of tests that have no history, and why the first one has none
+    failed: int
     reason: str
     #: number of histories
     histories: int
@@ -126,8 +124,8 @@ class DesignResult(Outcome):
 
     def _design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
         """Return the design of tests that have information (d, m, m) together."""
-        score, gain = float(self._score(information)), float(self._gain(information))
-        return Design((*tests,), score, gain / np.log(2.0), self._sd_of_values(information))
+        gain = float(self._gain(information)) / np.log(2.0)
+        return Design((*tests,), gain, self._sd_of_values(information))
 
     def _scores(self, tests: IntArray) -> FloatArray:
         """Return the score (rows,) of tests (rows, count) together; -inf beyond the time."""
@@ -188,17 +186,13 @@ class DesignResult(Outcome):
         problem, space = self.problem, self.problem.design
         scales = {
             p.key: {"factor": 100.0 / value, "unit": "%"} if p.log
-            else {"factor": 1.0 / unit_scale(p),
-                  "unit": p.unit or unit_of_key(problem, p.key).strip()}
+            else {"factor": 1.0 / unit_scale(p), "unit": _unit(problem, p)}
             for p, value in zip(problem.parameters, self.before.values.tolist(), strict=True)
         }  # fmt: skip
 
         def entry(design: Design) -> dict[str, Any]:
             sd = [value if np.isfinite(value) else None for value in design.sd.tolist()]
-            return {
-                "score": design.score, "gain": design.gain,
-                "sd": dict(zip(problem.keys, sd, strict=True)),
-            }  # fmt: skip
+            return {"gain": design.gain, "sd": dict(zip(problem.keys, sd, strict=True))}
 
         designs = []
         for design in self.designs:
@@ -212,7 +206,7 @@ class DesignResult(Outcome):
             "criterion": space.criterion,
             "parameters": dict(zip(problem.keys, self.before.values.tolist(), strict=True)),
             "after": self.after or None, "candidates": len(self.candidates),
-            "failed": [test.to_dict() for test in self.failed], "reason": self.reason or None,
+            "failed": self.failed, "reason": self.reason or None,
             "histories": self.histories, "measured_as": problem.experiments[0].name,
             "sd_scales": scales, "designs": designs, "today": entry(self.today),
             "only_number_matters": self._only_number(), "versions": versions(),
@@ -222,10 +216,9 @@ class DesignResult(Outcome):
         """Return the outcome in a few lines."""
         problem, content = self.problem, self.to_dict()
         about = ", ".join(
-            f"{p.key} = {v / unit_scale(p):.4g} {p.unit}" if p.unit
-            else f"{p.key} = {v:.4g}{unit_of_key(problem, p.key)}"
-            for p, v in zip(problem.parameters, content["parameters"].values(), strict=True)
-        )  # fmt: skip
+            f"{p.key} = {value / unit_scale(p):.4g} {_unit(problem, p)}".rstrip()
+            for p, value in zip(problem.parameters, content["parameters"].values(), strict=True)
+        )
         around = (
             "without priors or an earlier fit (--after) it holds there only"
             if self.before.unknown.all() else f"means over {len(self.before.draws)} draws"
@@ -259,11 +252,8 @@ class DesignResult(Outcome):
                 f"{least} at least, and most candidates come near it: only their number matters"
             )
         if self.failed:
-            name = self.failed[0].name(problem.design)
-            lines.append(
-                f"{len(self.failed)} tests cannot be computed and are left out: {name}: "
-                f"{self.reason}"
-            )
+            tests = counted(self.failed, "test")
+            lines.append(f"{tests} without a history are left out: {self.reason}")
         return "\n".join(lines)
 
     def plot(self) -> Figure:
@@ -280,6 +270,10 @@ class DesignResult(Outcome):
             DESIGN: lambda: json_bytes(self.to_dict()),
         }
         write_outcome(Path(path), "fit", contents)
+
+
+def _unit(problem: Problem, parameter: FittedParameter) -> str:
+    return parameter.unit or unit_of_key(problem, parameter.key).strip()
 
 
 def _in_unit(content: Mapping[str, Any], key: str, sd: float) -> str:
@@ -343,12 +337,12 @@ def design(
         information = informations(readings, before, len(existing), parts)
         good, space = np.isfinite(information).all(axis=(1, 2, 3)), problem.design
         left = tuple(itertools.compress(tests, good))
-        failed = tuple(itertools.compress(tests, ~good))
         shortest = min((test.seconds for test in left), default=np.inf)
+        failed = len(tests) - len(left)
         if shortest * space.experiments > space.time_limit or not left:
             raise ComputationError(
-                f"{problem.name}: design: {len(failed)} of {len(tests)} tests cannot be computed, "
-                f"which leaves too few: {readings.reason}"
+                f"{problem.name}: design: {failed} of {len(tests)} tests cannot be computed, which "
+                f"leaves too few: {readings.reason}"
             )
         result = DesignResult(
             problem, before, left, information[good], str(after or ""), failed, readings.reason,

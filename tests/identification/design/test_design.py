@@ -162,8 +162,8 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     """Half of the ring would be worn off by the longest ones."""
     found = rw.design(tables({"time.end": [100.0, 500000.0]}, experiments=1), comm)
-    assert found.failed
-    assert len(found.failed) + len(found.candidates) == 10
+    assert found.failed > 0
+    assert found.failed + len(found.candidates) == 10
     assert "worn off lower" in found.summary()
     with pytest.raises(rw.ComputationError, match="too few"):
         rw.design(tables({"time.end": [500000.0, 600000.0]}, experiments=1), comm)
