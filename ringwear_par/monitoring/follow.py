@@ -97,17 +97,9 @@ def run_follow(
         return running, percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
-    fit: Any = after
-    if after is None:
-        fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
+    fit = after or fit_problem(on_first_rank(comm, running.other_tests), comm)
     known = on_first_rank(comm, lambda: fit_draws(fit))
-
-    def read() -> tuple[Problem, Question]:
-        problem, of, doubts = _followed(running, after, known)
-        # the first wear rate's interval is to become narrow
-        rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
-        return problem, Question((*rates, 0)[0], percent, mm, of, doubts)
-
+    read = partial(_followed, running, after, known, percent, mm)
     with StopSignals() as signals:
         readings = Readings(on_first_rank(comm, read)[0], comm, signals)
 
@@ -115,18 +107,17 @@ def run_follow(
             readings.tell(f"histories of {legible(running.name)}")
             return Monitor(Follower(known, question.of, problem, readings, draws, seed), question)
 
-        stopped = lambda: bool(signals.received)  # noqa: E731
-        lines = readings.lead(lambda: _loop(running, read, monitor_of, folder, once, stopped))
+        lines = readings.lead(lambda: _loop(running, read, monitor_of, folder, once, signals))
     if comm.rank == 0:
         print("\n".join(lines))
 
 
 def _followed(
-    running: RunningTest, after: Path | None, draws: Draws
-) -> tuple[Problem, str, tuple[str, ...]]:
-    """Return the problem of a test, of whom the draws are before it, and the doubts about that.
+    running: RunningTest, after: Path | None, draws: Draws, percent: float, depth: float | None
+) -> tuple[Problem, Question]:
+    """Return the problem of a test, with the random wear that the fit knows, and what is asked.
 
-    Random wear is that which the fit knows. On one rank; InputError for another fit's test.
+    On one rank; InputError for the test of another fit.
     """
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
     if after and running.name in json.loads(read_text(after / FIT)).get("experiments", {}):
@@ -145,7 +136,10 @@ def _followed(
     sizes = zip(BODIES, draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
     problem = replace(problem, settings=replace(problem.settings, process=process))
-    return problem, of, tuple(doubt.text for doubt in doubts_of(draws, test.case, of))
+    doubts = tuple(doubt.text for doubt in doubts_of(draws, test.case, of))
+    # the interval of the first wear rate is to become narrow
+    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
+    return problem, Question((*rates, 0)[0], percent, depth, of, doubts)
 
 
 def _loop(
@@ -154,12 +148,12 @@ def _loop(
     monitor_of: Callable[[Problem, Question], Monitor],
     folder: Path,
     once: bool,
-    stopped: Callable[[], bool],
+    signals: StopSignals,
 ) -> list[str]:
     """Answer whenever the files change, until the end of the test; return the last words."""
     answer: dict[str, Any] = {}
     stamps, warned, frame, printed, alarmed, ended = None, "", None, -_PAUSE, False, False
-    while not (ended or stopped()):
+    while not (ended or signals.received):
         if (present := running.file_stamps) == stamps:
             time.sleep(_LOOK)
             continue
