@@ -3,10 +3,9 @@
 Answers are written, and printed, as text and as a page, whenever the test's files change.
 """
 
-import json
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -20,7 +19,6 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, counted, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
-from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
@@ -35,6 +33,7 @@ from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
 from ringwear_par.prediction.prediction import depth_line, read_depth
 from ringwear_par.reports import blocks
+from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.key_numbers import time_unit, time_words
@@ -120,7 +119,11 @@ def _followed(
     On one rank; InputError for the test of another fit.
     """
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
-    if after and running.name in json.loads(read_text(after / FIT)).get("experiments", {}):
+    tested: Container[str] = ()
+    if after:
+        with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
+            tested = dict(outcome["experiments"])
+    if running.name in tested:
         raise InputError(
             f"{place}: is among the tests of {after}, so that its readings would count twice; "
             "must be followed after a fit without it"

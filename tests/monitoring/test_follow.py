@@ -51,9 +51,7 @@ def folder(tmp_path_factory):
                                              "time.end": END, "time.scheme": "adaptive",
                                              "time.step": None, "time.steps": None})  # fmt: skip
     draws = draws_of(case, count=2000, tau=TAU)
-    fit = save_fit(path / "fit", fit_of(draws))
-    content = json.loads((fit / "fit.json").read_text()) | {"experiments": {"S1": {}}}
-    (fit / "fit.json").write_text(json.dumps(content))
+    save_fit(path / "fit", fit_of(draws), ["S1"])
     record(path / "z.csv", *clean(1))
     return path
 
