@@ -15,8 +15,8 @@ FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "paramet
 POSTERIOR = "draws.nc"
 #: file of a fit with scatter: the values of specimens
 SPECIMENS = "specimens.png"
-#: files of a design: its outcome, which is written last, the best tests, and bars of these
-DESIGN, NEXT, BARS = "design.json", "next.toml", "design.png"
+#: files of a design: its outcome, which is written last, and bars of the best tests
+DESIGN, BARS = "design.json", "design.png"
 #: files of measured tests: their numbers, which are written last, a row a test, the records
 MEASURE, MEASURED_ROWS, RECORDS = "measure.json", "measure.csv", "measure.png"
 #: files of a prediction: its numbers, which are written last, all draws and the band over time

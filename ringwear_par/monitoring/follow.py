@@ -1,37 +1,42 @@
-"""``ringwear follow``: what the readings of a running test say of its specimen, as they come."""
+"""``ringwear follow``: what the readings of a running test say of its specimen, as they come.
 
-import json
+Answers are written, and printed, as text and as a page, whenever the test's files change.
+"""
+
 import logging
-import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, legible, reason_of, warning_lines
+from ringwear_par.errors import InputError, counted, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
-from ringwear_par.files.text import read_text
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
-from ringwear_par.identification.draws import NEXT
+from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import Answer, lines_of, page_of, warnings_of
-from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.histories import frame_of
-from ringwear_par.monitoring.monitor import Asked, Monitor
+from ringwear_par.identification.summary import users_numbers
+from ringwear_par.monitoring.follower import Follower, frame_of
+from ringwear_par.monitoring.monitor import Monitor, Question
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
-from ringwear_par.prediction.prediction import read_depth
+from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
+from ringwear_par.pictures.style import COLOURS
+from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
+from ringwear_par.prediction.prediction import depth_line, read_depth
+from ringwear_par.reports import blocks
+from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
@@ -40,6 +45,8 @@ log = logging.getLogger(__name__)
 PAGE = "follow.html"
 #: s between two looks at the files; between two pages, and two answers that are printed
 _LOOK, _PAUSE = 0.2, 5.0
+#: s, after which a browser loads the page anew
+_REFRESH = 10
 #: fewest draws
 _FEWEST = 2000
 
@@ -85,123 +92,79 @@ def run_follow(
             raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
         running = RunningTest.of(source, test)
-        while not once and (missing := running.missing):
-            log.info("waiting for readings in %s", ", ".join(map(str, missing)))
-            while running.missing == missing:
-                time.sleep(_LOOK)
         running.read()
         return running, percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
-    fit: Any = after
-    if after is None:
-        fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
-    known = on_first_rank(comm, lambda: fit_knowledge(fit))
-
-    def read() -> _Followed:
-        return _followed(running, after, known)
-
-    options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
-    words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
-    command = shlex.join(["ringwear", "follow", str(source), "-o", str(folder), *words])
+    fit = after or fit_problem(on_first_rank(comm, running.other_tests), comm)
+    known = on_first_rank(comm, lambda: fit_draws(fit))
+    read = partial(_followed, running, after, known, percent, mm)
     with StopSignals() as signals:
-        readings = Readings(on_first_rank(comm, read).problem, comm, signals)
+        readings = Readings(on_first_rank(comm, read)[0], comm, signals)
 
-        def monitor_of(followed: _Followed) -> Monitor:
+        def monitor_of(problem: Problem, question: Question) -> Monitor:
             readings.tell(f"histories of {legible(running.name)}")
-            problem, of = followed.problem, followed.specimen
-            followers = {"": Follower(known.draws, of, problem, readings, draws, seed)}
-            for law, other in problem.alternatives.items():  # by this rank alone
-                alone = Readings(other, MPI.COMM_SELF, signals)
-                followers[law] = Follower(known.laws[law], of, other, alone, draws, seed)
-            laws = {"": known.draws, **known.laws} if problem.alternatives else {}
-            evidences = {law: laws[law].log_evidence for law in followers if law in laws}
-            whom = of if of == NEXT else f"specimen {legible(of)}"
-            asked = Asked(_key_of(problem), percent, mm, whom, followed.doubts)
-            return Monitor(followers, known.draws, evidences, asked)
+            return Monitor(Follower(known, question.of, problem, readings, draws, seed), question)
 
-        def lead() -> list[str]:
-            return _loop(
-                running, read, monitor_of, folder, command, once, lambda: bool(signals.received)
-            )
-
-        lines = readings.lead(lead)
+        lines = readings.lead(lambda: _loop(running, read, monitor_of, folder, once, signals))
     if comm.rank == 0:
         print("\n".join(lines))
 
 
-class _Followed(NamedTuple):
-    """A test that is followed, and of whom the draws are before it."""
+def _followed(
+    running: RunningTest, after: Path | None, draws: Draws, percent: float, depth: float | None
+) -> tuple[Problem, Question]:
+    """Return the problem of a test, with the random wear that the fit knows, and what is asked.
 
-    #: of it alone, with the random wear that the fit knows, under all laws that are compared
-    problem: Problem
-    #: the next specimen, or one of the fit's
-    specimen: str
-    doubts: tuple[str, ...]
-
-
-def _followed(running: RunningTest, after: Path | None, known: FitKnowledge) -> _Followed:
-    """Return a test with what a fit knows before it, or raise InputError. On one rank."""
+    On one rank; InputError for the test of another fit.
+    """
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
-    if after and running.name in json.loads(read_text(after / FIT)).get("experiments", {}):
+    tested: Container[str] = ()
+    if after:
+        with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
+            tested = dict(outcome["experiments"])
+    if running.name in tested:
         raise InputError(
-            f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
+            f"{place}: is among the tests of {after}, so that its readings would count twice; "
             "must be followed after a fit without it"
         )
-    (experiment,), asked = problem.experiments, problem.alternatives
-    specimen = experiment.groups[0] or experiment.name
-    specimen = specimen if specimen in known.draws.specimens else NEXT
-    laws = {law: asked[law] for law in known.laws if law in asked}
-    if known.laws and (unknown := [law for law in asked if law not in laws]):
+    if problem.keys != draws.keys:
         raise InputError(
-            f"{running.source}: compare.{legible(unknown[0])}: was not compared by {known.name}; "
-            f"must be {' or '.join(map(legible, known.laws))}, as there, or absent"
+            f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
+            "the fit of earlier tests"
         )
-    doubts = [doubt.text for doubt in doubts_of(known, experiment.case, specimen)]
-    doubts += [
-        f"law {legible(law)} is not compared: {known.name} has no draws of it"
-        for law in asked if not known.laws
-    ]  # fmt: skip
-    if problem.settings.loss != "gaussian" and laws:
-        laws = {}
-        doubts.append(f'laws are not compared: loss = "{problem.settings.loss}" has no evidence')
-    pairs = [(problem, known.draws), *((law, known.laws[name]) for name, law in laws.items())]
-    for of_law, draws in pairs:
-        if of_law.keys != draws.keys:
-            raise InputError(
-                f"{of_law.name}: fits {', '.join(of_law.keys)}; must be {', '.join(draws.keys)}, "
-                f"as {known.name}"
-            )
-        check_predicted(draws, of_law.experiments[0].case, of_law.name, specimen)
-    sizes = zip(BODIES, known.draws.process.T, strict=True)
+    (test,) = problem.experiments
+    of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
+    check_predicted(draws, test.case, problem.name, of)
+    sizes = zip(BODIES, draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    settings = replace(problem.settings, process=process)
-    laws = {name: replace(law, settings=settings) for name, law in laws.items()}
-    problem = replace(problem, settings=settings, alternatives=laws)
-    return _Followed(problem, specimen, tuple(doubts))
+    problem = replace(problem, settings=replace(problem.settings, process=process))
+    doubts = tuple(doubt.text for doubt in doubts_of(draws, test.case, of))
+    # the interval of the first wear rate is to become narrow
+    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
+    return problem, Question((*rates, 0)[0], percent, depth, of, doubts)
 
 
 def _loop(
     running: RunningTest,
-    read: Callable[[], _Followed],
-    monitor_of: Callable[[_Followed], Monitor],
+    read: Callable[[], tuple[Problem, Question]],
+    monitor_of: Callable[[Problem, Question], Monitor],
     folder: Path,
-    command: str,
     once: bool,
-    stopped: Callable[[], bool],
+    signals: StopSignals,
 ) -> list[str]:
     """Answer whenever the files change, until the end of the test; return the last words."""
-    answer: Answer | None = None
-    stamps, warned, frame, said, alarmed, ended = None, "", None, -_PAUSE, False, False
-    while not (ended or stopped()):
+    answer: dict[str, Any] = {}
+    stamps, warned, frame, printed, alarmed, ended = None, "", None, -_PAUSE, False, False
+    while not (ended or signals.received):
         if (present := running.file_stamps) == stamps:
             time.sleep(_LOOK)
             continue
         stamps = present
         try:
-            followed = read()
-            if frame_of(followed.problem) != frame:
-                monitor, frame = monitor_of(followed), frame_of(followed.problem)
+            problem, question = read()
+            if frame_of(problem) != frame:
+                monitor, frame = monitor_of(problem, question), frame_of(problem)
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -211,36 +174,31 @@ def _loop(
             continue
         except StoppedError:
             break
-        answer = monitor.answer(followed.problem)
-        content, ended = {**answer, "versions": versions()}, once or answer["ended"]
-        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, content)})
-        alarm = answer["alarm"] is not None and not alarmed
-        if not ended and (alarm or time.monotonic() - said > _PAUSE):
-            _write_page(folder, answer, monitor, command)
-            warnings = warning_lines(warnings_of(answer) if alarm else [])
-            print("\n".join([*lines_of(answer), *warnings]), flush=True)
-            said, alarmed = time.monotonic(), alarmed or alarm
-    if answer is None:
+        answer = {**monitor.answer(problem), "versions": versions()}
+        answer["summary"], ended = lines_of(answer), once or answer["ended"]
+        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, answer)})
+        alarm = answer["alarm"] is not None
+        if not ended and (alarm > alarmed or time.monotonic() - printed > _PAUSE):
+            _write_page(folder / PAGE, answer, monitor)
+            print("\n".join(_printed(answer)), flush=True)
+            printed, alarmed = time.monotonic(), alarm
+    if not answer:
         raise StoppedError("stopped before the first answer")
-    written = _write_page(folder, answer, monitor, command)
-    return [*lines_of(answer), *warning_lines(warnings_of(answer)), *written]
+    written = _write_page(folder / PAGE, answer, monitor)
+    return [*_printed(answer), *written, f"written: {folder / FOLLOW}"]
 
 
-def _write_page(folder: Path, answer: Answer, monitor: Monitor, command: str) -> list[str]:
-    """Write the page of an answer; return what stands in the folder, and why there is no page."""
-    outcome, page = folder / FOLLOW, folder / PAGE
+def _printed(answer: Mapping[str, Any]) -> list[str]:
+    return [*answer["summary"], *warning_lines(answer["doubts"])]
+
+
+def _write_page(page: Path, answer: dict[str, Any], monitor: Monitor) -> list[str]:
+    """Write the page of an answer; return a line about it."""
     try:
         check_page(page)
     except InputError as error:
-        return [*warning_lines([str(error)]), f"written: {outcome}"]
-    write_page(page_of(answer, monitor.record(), command, versions()), page)
-    return [f"written: {outcome}, {page}"]
-
-
-def _key_of(problem: Problem) -> int:
-    """Return the number of the key whose interval is to become narrow: the first wear rate."""
-    logarithmic = (n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key)
-    return next(logarithmic, 0)
+        return warning_lines([str(error)])
+    return [f"written: {write_page(page_of(answer, monitor.record()), page)}"]
 
 
 def _percent(text: str, faults: list[str]) -> float:
@@ -249,3 +207,55 @@ def _percent(text: str, faults: list[str]) -> float:
             return percent
     faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
     return np.nan
+
+
+def lines_of(answer: Mapping[str, Any]) -> list[str]:
+    """Return the contents of follow.json in lines of text, but for its doubts."""
+    goal, end, level = answer["goal"], answer["end"], f"{100 * answer['level']:g} %"
+    time = f"{time_words(answer['time'], end)} of {time_words(end, end)}"
+    lines = [f"{answer['test']}: {counted(answer['readings'], 'reading')} to {time}"]
+    for key, entry in answer["keys"].items():
+        numbers, unit = users_numbers(entry)
+        (low, high), (first, last) = numbers["interval"], numbers["before"]
+        estimate = f"{numbers['estimate']:.3g} {unit}".rstrip()
+        lines.append(
+            f"  {key}  {estimate} of this specimen  from {low:.3g} to {high:.3g} ({level}, "
+            f"+-{entry['percent']:.2g} %; before the test {first:.3g} to {last:.3g})"
+        )
+    when = f"not before the end, +-{goal['at_end']:.2g} % is expected there"
+    if goal["time"] is not None:
+        left = goal["time"] - answer["time"]
+        when = "reached" if left <= 0.0 else f"in {time_words(left, end)}"
+    lines.append(f"  {goal['key']} to +-{goal['percent']:g} %: {when}")
+    if answer["depth"] is not None:
+        lines.append(f"  {depth_line(answer['depth'], end)}")
+    return lines
+
+
+def page_of(answer: Mapping[str, Any], record: Panel | None) -> blocks.Page:
+    """Return the page, which a browser loads anew while the test runs.
+
+    Parameters
+    ----------
+    record : the readings with their band; None: there is none.
+    """
+    unit, seconds = time_unit(answer["end"])
+    key, level = answer["goal"]["key"], f"{100 * answer['level']:g} %"
+    numbers, unit_of_key = users_numbers(answer["keys"][key])
+    time, *ends = np.array(answer["trace"]).T
+    time, (low, median, high) = time / seconds, np.array(ends) / numbers["scale"]
+    of_key = Panel(
+        Axis(f"time ({unit})"), Axis(f"{key} ({in_signs(unit_of_key or '1')})"),
+        "by the readings until then",
+        curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
+        bands=[Band(time, low, high, level, ("low", "high"))],
+    )  # fmt: skip
+    charts = [blocks.Chart("key", of_key, f"{key} and its interval over the time of the test")]
+    if record is not None:
+        charts.append(blocks.Chart("record", record, "Readings, and histories of this specimen"))
+    summary: list[blocks.Block] = [blocks.Lines([*map(with_signs, answer["summary"])])]
+    summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
+    over_time = blocks.Section("Over time", [blocks.Charts(charts)])
+    sections = [blocks.Section("Summary", summary), over_time]
+    refresh = 0 if answer["ended"] else _REFRESH
+    return blocks.Page("Running test", answer["test"], sections, refresh=refresh)

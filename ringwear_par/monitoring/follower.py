@@ -1,44 +1,198 @@
 """What the readings of a running test say of its specimen: a fit's draws, weighed by them.
 
-Readings weigh the draws by the likelihood of fits, at once or, where that would leave few, by one
-power of it after another: after each, draws are made anew about those that are left, by
-normal kernels that keep mean and covariance (Liu and West 2001, in Sequential Monte Carlo Methods
-in Practice, 197-223). All of it starts from the draws before the test, whatever was asked before.
+Polynomials of the keys tell its histories at the ends of steps; readings, whenever they come, lie
+between these. Readings weigh the draws by the likelihood of fits, at once or, where that would
+leave few, by one power of it after another: after each, draws are made anew about those that are
+left, by normal kernels that keep mean and covariance (Liu and West 2001, in Sequential Monte Carlo
+Methods in Practice, 197-223). All of it starts from the draws before the test, whatever was asked
+before.
 """
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import (
     Experiment,
+    Loss,
     Problem,
+    Series,
     body_of_wear,
     records,
     reflected,
 )
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS, Trajectory
 from ringwear_par.identification.draws import Draws
-from ringwear_par.identification.histories import Readings
+from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
+from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import (
     LOG_SHARES,
     EmulatedLikelihood,
     Setting,
     TestLikelihood,
 )
-from ringwear_par.identification.setting import needs_middle
-from ringwear_par.monitoring.histories import Histories
+from ringwear_par.identification.readings import TimeInterpolation
+from ringwear_par.identification.setting import needs_middle, settings_at
 
+#: histories that polynomials are made of by the number of fitted keys, and most of them
+_HISTORIES, _MOST_HISTORIES = {1: 64, 2: 192, 3: 320}, 448
+#: draws that a box is about, and its margin
+_BOXED, _MARGIN = 10_000, 0.1
+#: scale of a quantity over its spread, and error of polynomials in it that is small enough
+_SCALE, _CLOSE = 1e-3, 0.03
+#: share of random wear where clocks are found, which hardly depend on it
+_TYPICAL_SHARE = 0.05
 #: effective number of draws that is enough, and share of them; factor between powers that are tried
-_ENOUGH, _SHARE, _LESS = 2000.0, 0.2, 0.8
+_ENOUGH, _ENOUGH_SHARE, _LESS = 2000.0, 0.2, 0.8
 #: draws in one go, and draws that growth times are judged by
 _LOT, _JUDGED = 10_000, 64
 #: number of new draws; width of their kernels over the best one of a normal density; variance that
 #: they have along what is known exactly
 _ANEW, _WIDTH = 20_000, 0.5
 _EXACT = 1e-12
+
+
+def frame_of(problem: Problem) -> tuple[Hashable, ...]:
+    """Return all of a problem of one test but its readings over time, which histories are for."""
+    (test,) = problem.experiments
+    fixed = (s.x.tobytes() for s in test.series if READING_KINDS[s.kind].values is None)
+    return (problem.text, test.case.text, *fixed)
+
+
+def part_of(test: Experiment, rows: BoolArray) -> Experiment:
+    """Return a test with some of its readings (n,), without series that their nuisances explain."""
+    parts = [series.part(rows[place]) for series, place in records(test.series)]
+    informative = (
+        s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None)
+    )
+    return replace(test, series=tuple(informative))
+
+
+@dataclass(frozen=True, eq=False)
+class Histories:
+    """Histories of a test at unknowns of its keys, from which its readings are taken."""
+
+    #: its approach, torque, volumes and masses at the ends of steps; profiles and times at which
+    #: layers are worn through, as they are read
+    plan: Experiment
+    #: of the readings of the plan
+    emulator: Emulator
+    #: how these follow random wear and the calibration of measured inputs
+    setting: Setting
+    #: (1 + r,) 1 and the coordinates of the history at the middle of the draws
+    middle: FloatArray
+
+    @classmethod
+    def of(cls, readings: Readings, problem: Problem, x: FloatArray) -> "Histories":
+        """Return the histories of a problem of one test at draws (s, m). On the first rank.
+
+        Raises
+        ------
+        ComputationError : hardly any draw has a history.
+        """
+        (test,), bodies = problem.experiments, len(problem.settings.process)
+        plan, middle = _plan(test), np.median(x, axis=0)
+        readings.problem = replace(problem, experiments=(plan,))
+        settings = [Setting.before(plan, bodies=bodies)]
+        if needs_middle(readings.problem):
+            shares = np.full(bodies, _TYPICAL_SHARE)
+            settings = settings_at(readings, settings, middle[None], shares, first=True)
+        box = Box.about(x[:_BOXED], *problem.unknown_bounds, _MARGIN)
+        count = _HISTORIES.get(x.shape[1], _MOST_HISTORIES)
+        points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
+        points = points[box.holds(points)]
+        (y,) = readings([(0, points)])
+        good = np.isfinite(y).all(axis=1)
+        if good.sum() < 2 * x.shape[1] + 2:
+            reason = f"hardly any draw has a history: {readings.reason}"
+            raise ComputationError(f"{problem.name}: {reason}")
+        sd = y[good].std(axis=0)
+        for _, part in records(plan.series):
+            sd[part] = sd[part].max() or 1.0
+        root = np.linalg.cholesky(np.atleast_2d(np.cov(x.T)))
+        distance = np.linalg.norm(np.linalg.solve(root, (points[good] - middle).T), axis=0)
+        emulator, _ = emulate(box, points, y, _SCALE * sd, nearness(distance), _CLOSE)
+        return cls(plan, emulator, settings[0], np.append(1.0, emulator.coordinates(middle[None])))
+
+    @property
+    def error(self) -> float:
+        """Largest rms error of a quantity, over its spread among the draws."""
+        return _SCALE * self.emulator.error
+
+    @property
+    def columns(self) -> FloatArray:
+        """Readings (n, 1 + r) of the plan by 1 and the coordinates."""
+        return np.column_stack([self.emulator.mean, self.emulator.modes.T])
+
+    @property
+    def time(self) -> FloatArray:
+        """(steps,) s, ends of steps, the start included."""
+        return self.plan.series[0].x
+
+    def at_steps(self, quantity: str) -> FloatArray:
+        """Return (steps, 1 + r) a quantity by 1 and the coordinates; "depth" is mean, in mm."""
+        volume = quantity.replace("depth", "volume")
+        part = self._parts(self.columns)[f"all {volume}"]
+        return part if volume == quantity else part / self.plan.case.area
+
+    def _parts(self, columns: FloatArray) -> dict[str, FloatArray]:
+        """Return readings (n, ...) of the plan by the names of its series."""
+        return {series.name: columns[part] for series, part in records(self.plan.series)}
+
+    def read(self, columns: FloatArray, test: Experiment) -> FloatArray:
+        """Return the readings (n, ...) of a test by those of the plan."""
+        parts, nothing = self._parts(columns), np.full((len(self.time), *columns.shape[1:]), np.nan)
+        volume, mass = (
+            np.stack([parts.get(f"all {quantity}.{body}", nothing) for body in BODIES])
+            for quantity in ("volume", "mass")
+        )
+        history = Trajectory(
+            self.time, parts["all approach"], parts["all torque"], volume, nothing, mass, nothing
+        )
+        breaks, readings = (0.0, *test.case.breakpoints, test.case.time.end), []
+        for series in test.series:
+            values = READING_KINDS[series.kind].values
+            if values is None:
+                readings.append(parts[series.name])
+            else:
+                between = TimeInterpolation(self.time, series.x, breaks)
+                read = values(history, BODIES.index(series.body), series.density)
+                readings.append(between(read))
+        return np.concatenate(readings)
+
+    def emulator_of(self, test: Experiment) -> Emulator:
+        """Return the emulator of the readings of a test."""
+        both = self.read(self.columns, test)
+        return replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
+
+    def setting_of(self, test: Experiment, loss: Loss) -> Setting:
+        """Return the setting of a test before its readings are looked at."""
+        clocks = []
+        for felt, share in self.setting.clocks:
+            depth = np.interp(test.times, self.time, share[: len(self.time)])
+            answer = self.read(felt * share, test)
+            slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
+            clocks.append((slope, depth))
+        scales = tuple(self.read(scale, test) for scale in self.setting.scales)
+        before = Setting.before(test, loss, len(clocks))
+        return replace(before, clocks=tuple(clocks), scales=scales)
+
+
+def _plan(test: Experiment) -> Experiment:
+    """Return a test whose readings are all of a history that others are taken from."""
+    times = np.append(0.0, step_times(test))
+    quantities = ["approach", "torque", *(f"volume.{body}" for body in BODIES)]
+    for body, ring in zip(BODIES, test.case.rings, strict=True):
+        quantities += [f"mass.{body}"] * (bool(ring.layers) and None not in ring.densities)
+    zero, one = np.zeros(len(times)), np.ones(len(times))
+    series = [Series(f"all {q}", q, times, zero, one, density=None) for q in quantities]
+    fixed = [s for s in test.series if READING_KINDS[s.kind].values is None]
+    return replace(test, series=(*series, *fixed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,20 +209,18 @@ class Specimen:
     shares: FloatArray
     #: None before any reading
     likelihood: EmulatedLikelihood | None = None
-    #: logarithm of the probability density of the readings, but for a constant of theirs
-    log_evidence: float = 0.0
-    #: how often the draws were made anew
-    redraws: int = 0
-
-    @property
-    def effective(self) -> float:
-        """How many draws of equal weights they are worth."""
-        return float(1.0 / (self.weights @ self.weights))
 
     def chosen(self, count: int) -> FloatArray:
         """Return 1 and the coordinates, (count, 1 + r), of draws as often as they weigh."""
         rows = np.random.default_rng(count).choice(len(self.weights), count, p=self.weights)
         return np.column_stack([np.ones(count), self.coordinates[rows]])
+
+    def quantiles(self, values: FloatArray, probabilities: FloatArray) -> FloatArray:
+        """Return quantiles of values (s,) of the draws."""
+        order = np.argsort(values)
+        centred = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
+        between: FloatArray = np.interp(probabilities, centred, values[order])
+        return between
 
 
 class Follower:
@@ -89,7 +241,7 @@ class Follower:
     ) -> None:
         bodies = [body_of_wear(key) for key in problem.settings.process]
         x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
-        self.m, self._seed, self.problem = x.shape[1], seed, problem
+        self.draws, self.m, self._seed, self.problem = draws, x.shape[1], seed, problem
         self.histories = histories = Histories.of(readings, problem, x)
         # (bodies, 1 + r) at the end of the test
         depths = np.array([histories.at_steps(f"depth.{body}")[-1] for body in bodies])
@@ -117,30 +269,30 @@ class Follower:
 
     def update(self, test: Experiment) -> Specimen:
         """Return the draws by the readings of a test."""
-        found, loss = self.before, self.problem.settings.loss
+        specimen, loss = self.before, self.problem.settings.loss
         if not test.series:
-            return found
+            return specimen
         emulator, setting = self.histories.emulator_of(test), self.histories.setting_of(test, loss)
-        found = self._weighed(test, setting, found)
+        specimen = self._weighed(test, setting, specimen)
         if needs_middle(self.problem):  # which these draws tell
-            assert found.likelihood is not None
-            some = found.chosen(_JUDGED) @ np.vstack([emulator.mean, emulator.modes])
-            likelihood, middle = found.likelihood.likelihood, self.middle(found, test)
+            assert specimen.likelihood is not None
+            some = specimen.chosen(_JUDGED) @ np.vstack([emulator.mean, emulator.modes])
+            likelihood, middle = specimen.likelihood.likelihood, self.middle(specimen, test)
             times = likelihood.with_times_that_count(some).times
             setting = replace(likelihood.adapted(middle, loss), times=times)
-            found = self._weighed(test, setting, found)
-        return found
+            specimen = self._weighed(test, setting, specimen)
+        return specimen
 
-    def middle(self, found: Specimen, test: Experiment) -> FloatArray:
+    def middle(self, specimen: Specimen, test: Experiment) -> FloatArray:
         """Return readings (n,) of a test by the mean history."""
         emulator = self.histories.emulator_of(test)
-        return emulator.mean + found.weights @ found.coordinates @ emulator.modes
+        return emulator.mean + specimen.weights @ specimen.coordinates @ emulator.modes
 
-    def likelihood_like(self, found: Specimen, test: Experiment) -> TestLikelihood:
-        """Return the likelihood of other readings: noise and growth times as was found."""
+    def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
+        """Return the likelihood of other readings: noise and growth times as of the specimen's."""
         setting, known = self.histories.setting_of(test, "gaussian"), {}
-        if found.likelihood is not None:
-            old = found.likelihood.likelihood
+        if specimen.likelihood is not None:
+            old = specimen.likelihood.likelihood
             for i, (s, part) in enumerate(records(old.test.series)):
                 scale = float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
                 known[s.name] = scale, old.setting.times.get(i)
@@ -149,32 +301,31 @@ class Follower:
             i: known.get(test.series[i].name, (1.0, None))[1] or ends
             for i, ends in setting.times.items()
         }
-        likelihood = TestLikelihood(test, replace(setting, sd=sd, times=times), found.shares)
+        likelihood = TestLikelihood(test, replace(setting, sd=sd, times=times), specimen.shares)
         if self.problem.settings.loss == "gaussian":
             return likelihood
-        adapted = likelihood.adapted(self.middle(found, test), self.problem.settings.loss)
-        return TestLikelihood(test, adapted, found.shares)
+        adapted = likelihood.adapted(self.middle(specimen, test), self.problem.settings.loss)
+        return TestLikelihood(test, adapted, specimen.shares)
 
     def _weighed(self, test: Experiment, setting: Setting, about: Specimen) -> Specimen:
         """Return the draws by a likelihood, whose noise is that about some others."""
         likelihood = EmulatedLikelihood(
             TestLikelihood(test, setting, about.shares), self.histories.emulator_of(test)
         )
-        random, before = np.random.default_rng(self._seed + 1), self.before
-        x, coordinates = before.unknowns, before.coordinates
-        left, evidence, redraws = 1.0, 0.0, 0
+        random = np.random.default_rng(self._seed + 1)
+        x, coordinates = self.before.unknowns, self.before.coordinates
+        left = 1.0
         while True:
             lots = np.array_split(np.arange(len(x)), 1 + len(x) // _LOT)
             shares = self._shares(x, coordinates)
             log_p = np.concatenate([likelihood(coordinates[i], shares[i]) for i in lots])
-            power, enough = left, min(_ENOUGH, _SHARE * len(x))
+            power, enough = left, min(_ENOUGH, _ENOUGH_SHARE * len(x))
             while _effective(power * log_p) < enough:
                 power *= _LESS
-            evidence += float(logsumexp(power * log_p)) - np.log(len(x))
             if power == left:
-                found = self._specimen(x, coordinates, power * log_p)
-                return replace(found, likelihood=likelihood, log_evidence=evidence, redraws=redraws)
-            left, redraws = left - power, redraws + 1
+                specimen = self._specimen(x, coordinates, power * log_p)
+                return replace(specimen, likelihood=likelihood)
+            left -= power
             x = self._made_anew(x, softmax(power * log_p), random)
             coordinates = self._coordinates(x)
 

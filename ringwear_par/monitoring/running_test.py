@@ -4,18 +4,17 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from ringwear_par.cases.files.columns import FileStore
+from ringwear_par.cases.files.keys import base_keys
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in
 from ringwear_par.files.table_text import decode
 from ringwear_par.files.text import parse_toml, read_text
 from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
-from ringwear_par.identification.definition.problem import Problem, Series
+from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.scatter import check_scatter
-from ringwear_par.identification.definition.schema import FEWEST_READINGS
 
 _MARKS = b"\xff\xfe", b"\xfe\xff"
 
@@ -70,20 +69,23 @@ class RunningTest:
         InputError : there is none of this name.
         """
         tables, store = parse_toml(read_text(source), str(source)), FileStore(source.parent)
-        named: dict[str, Any] = {}
-        for _, table in experiment_tables(str(source), tables, None, store, []):
-            if isinstance(table, Mapping) and isinstance(table.get("name"), str):
-                named[table["name"]] = table
-        if not named:  # the fit file's own sentences tell
+        base = base_keys(str(source), source.parent, tables, False, [])
+        named = {
+            table["name"]: table
+            for _, table in experiment_tables(str(source), tables, base, store, [])
+            if isinstance(table, Mapping) and isinstance(table.get("name"), str)
+        }
+        if not named:  # the fit file's own sentences say why
             read_fit(source)
         name = [*named][-1] if name is None else name
         if name not in named:
-            known = ", ".join(legible(known) for known in named)
+            known = ", ".join(map(legible, named))
             raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
+        entries = [named[name].get(kind) for kind in ("data", "input")]
         files = frozenset(
             entry["file"]
-            for kind in ("data", "input")
-            for entry in (named[name][kind] if isinstance(named[name].get(kind), list) else [])
+            for every in entries
+            for entry in (every if isinstance(every, list) else [])
             if isinstance(entry, Mapping) and isinstance(entry.get("file"), str)
         )
         return cls(source, name, files, len(named) == 1)
@@ -91,12 +93,6 @@ class RunningTest:
     @property
     def _growing(self) -> GrowingFiles:
         return GrowingFiles(self.source.parent, self.files)
-
-    @property
-    def missing(self) -> list[Path]:
-        """Its files that have too few whole lines for any nuisances yet, that of names included."""
-        paths = [self.source.parent / name for name in sorted(self.files)]
-        return [path for path in paths if _lines(path) <= FEWEST_READINGS]
 
     @property
     def file_stamps(self) -> list[tuple[int, int, int]]:
@@ -129,35 +125,21 @@ class RunningTest:
         return replace(whole, experiments=tests, alternatives={})
 
     def read(self) -> Problem:
-        """Return the problem of this test alone, with its readings so far, under all laws.
+        """Return the problem of this test alone, with its readings so far.
 
         Raises
         ------
         InputError : its faults, and what cannot be followed.
         """
         problem = read_fit(self.source, test=self.name, files=self._growing)
-        (experiment,) = problem.experiments
+        (test,) = problem.experiments
         faults = [
             f"{self.source}: {legible(self.name)}: {series.file or series.name}: {assumption}; its "
             "unit must be given"
-            for series in experiment.series
+            for series in test.series
             for assumption in series.assumptions
         ]
         if faults:
             raise InputError(*faults)
-        series = tuple(averaged(record, experiment.case.time.end) for record in experiment.series)
-        laws = {law: _with_series(other, series) for law, other in problem.alternatives.items()}
-        return replace(_with_series(problem, series), alternatives=laws)
-
-
-def _with_series(problem: Problem, series: tuple[Series, ...]) -> Problem:
-    """Return a problem of one test with other readings."""
-    (experiment,) = problem.experiments
-    return replace(problem, experiments=(replace(experiment, series=series),))
-
-
-def _lines(path: Path) -> int:
-    try:
-        return path.read_bytes().count(b"\n")
-    except (OSError, ValueError):
-        return 0
+        series = tuple(averaged(record, test.case.time.end) for record in test.series)
+        return replace(problem, experiments=(replace(test, series=series),), alternatives={})

@@ -1,6 +1,9 @@
-"""``rw.predict`` and ``ringwear predict``: what a fit says of a case that was not tested."""
+"""``rw.predict`` and ``ringwear predict``: what a fit says of a case that was not tested.
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+Histories at draws of the fit, what is refused, and what is doubted; running tests start from these.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,16 +15,23 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import ComputationError, InputError, counted
-from ringwear_par.files.folders import PREDICTION, check_folder
+from ringwear_par.errors import ComputationError, InputError, ValidityWarning, legible
+from ringwear_par.files.folders import POSTERIOR, PREDICTION, check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
+from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.identification.definition.problem import Experiment
-from ringwear_par.identification.draws import NEXT, Draws
+from ringwear_par.identification.draws import (
+    CONDITIONS,
+    MATERIAL,
+    NEXT,
+    Draws,
+    conditions_of,
+    law_names,
+    read_draws,
+)
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.folder import FILES
-from ringwear_par.prediction.known import check_predicted, doubts_of, fit_knowledge
-from ringwear_par.prediction.prediction import QUANTITIES, Prediction, read_depth
+from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
 
@@ -36,6 +46,8 @@ _NEAR = 0.2
 _MOST_FAILED = 0.1
 #: mean wear of a step over the size of the noise below which a step wears nothing, or almost never
 _LEAST_SHAPE = 1e-12
+#: relative difference below which conditions are the same
+_SAME = 0.02
 
 
 def predict(
@@ -71,8 +83,9 @@ def predict(
     ComputationError : the histories.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    drawn = on_first_rank(comm, lambda: _drawn(fit, case, (), of, draws, seed))
-    return _predicted(*drawn, comm)
+    return _with_histories(
+        *on_first_rank(comm, lambda: _drawn(fit, case, (), of, draws, seed)), comm
+    )
 
 
 def run_predict(
@@ -91,7 +104,7 @@ def run_predict(
 
     Parameters
     ----------
-    depth : of penetration with its unit, whose time is told.
+    depth : of penetration with its unit, whose time is printed.
     """
 
     def read() -> tuple[Case, Prediction]:
@@ -99,12 +112,12 @@ def run_predict(
         mm = None if depth is None else read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
-        whole, drawn = _drawn(fit, case, overrides, of, draws, seed, "--")
+        whole, drawn = _drawn(fit, case, overrides, of, draws, seed)
         check_folder(folder, FILES, "predict")
         announce_replacement(folder / PREDICTION)
         return whole, replace(drawn, depth=mm)
 
-    result = _predicted(*on_first_rank(comm, read), comm)
+    result = _with_histories(*on_first_rank(comm, read), comm)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
@@ -118,34 +131,96 @@ def _drawn(
     of: str,
     count: int,
     seed: int,
-    dashes: str = "",
 ) -> tuple[Case, Prediction]:
-    """Return a case, and its prediction without histories; ``dashes`` of options. On one rank."""
+    """Return a case, and its prediction without histories. On one rank."""
     for name, number, least in (("draws", count, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise InputError(f"{dashes}{name} = {number!r}: must be a whole number >= {least}")
-    known = fit_knowledge(fit)
-    draws, name = known.draws, str(case) if isinstance(case, Path | str) else "case"
+            raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
+    draws, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
     refuse_stop(case, name, "in a prediction")
-    check_predicted(draws, case, name, of, dashes)
+    check_predicted(draws, case, name, of)
     unknowns, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
+    source = str(fit) if isinstance(fit, Path | str) else "fit"
     return case, Prediction(
-        of, known.name, case.stored_text, seed, dict(zip(draws.keys, draws.units, strict=True)),
-        draws.values(unknowns), sizes, (*_sources(draws, of, sizes),), doubts_of(known, case, of),
+        of, source, case.stored_text, seed, dict(zip(draws.keys, draws.units, strict=True)),
+        draws.values(unknowns), sizes, doubts_of(draws, case, of),
     )  # fmt: skip
 
 
-def _sources(draws: Draws, of: str, sizes: FloatArray) -> Iterator[str]:
-    """Yield sentences about what was drawn, with sizes (draws, 2) mm of the random wear."""
-    yield f"posterior of the fit to {counted(len({*draws.specimens}), 'specimen')}"
-    if draws.scatter and of == NEXT:
-        yield f"scatter of {', '.join(dict.fromkeys(key for key, _ in draws.scatter))}"
-    if sizes.any():
-        yield f"wear at random, size {1e6 * np.median(sizes.max(axis=1)):.3g} nm"
+def fit_draws(fit: "FitResult | Path | str") -> Draws:
+    """Return the draws of a fit, or of the fit of a folder. Not collective.
+
+    Raises
+    ------
+    InputError : anything else, or a folder without a fit.
+    """
+    if isinstance(fit, Path | str):
+        return read_draws(Path(fit, POSTERIOR))
+    if not isinstance(draws := getattr(fit, "draws", None), Draws):
+        raise InputError(
+            f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
+        )
+    return draws
 
 
-def _predicted(case: Case, drawn: Prediction, comm: MPI.Comm) -> Prediction:
+def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
+    """Refuse a specimen that the fit did not test, and a case without its keys or laws.
+
+    Parameters
+    ----------
+    name : what messages call the case.
+
+    Raises
+    ------
+    InputError : all faults.
+    """
+    faults, laws, possible = [], law_names(case), smooth_keys(case)
+    if of not in (NEXT, MATERIAL, *draws.specimens):
+        names = ", ".join(f'"{legible(n)}"' for n in dict.fromkeys(draws.specimens))
+        faults.append(f'of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}')
+    for key in draws.keys:
+        table = key.rpartition(".")[0]
+        law = draws.laws.get(table, "")
+        if laws.get(table, "") != law:
+            state = f'is "{laws[table]}"' if laws.get(table) else "is missing"
+            faults.append(
+                f'{name}: {table}.law {state}: must be "{law}", of which the fit has {key}'
+            )
+        elif key not in possible:
+            faults.append(f"{name}: has no {key}; must have it, as the fit")
+    if faults:
+        raise InputError(*faults)
+
+
+def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
+    """Return the doubts about a prediction, which the draws alone cannot show."""
+    doubts = []
+    if of != MATERIAL and not draws.scatter:
+        text = (
+            "the fit has no scatter: specimens differ more than this band "
+            '(scatter = "fit" where there are repeats)'
+        )
+        doubts.append(ValidityWarning("no-scatter", text))
+    for (name, unit), value, tests in zip(
+        CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), draws.conditions.T,
+        strict=True,
+    ):  # fmt: skip
+        if np.isnan(value) or np.isnan(tests).all():
+            continue
+        low, high = float(np.nanmin(tests)), float(np.nanmax(tests))
+        # a shorter test is a part of a longer one
+        least = 0.0 if name == "distance" else low * (1.0 - _SAME)
+        if not least <= value <= high * (1.0 + _SAME):
+            symbol = f" {unit}" if unit != "1" else ""
+            tested = " to ".join(dict.fromkeys((f"{low:.4g}", f"{high:.4g}")))
+            text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {tested}{symbol}"
+            numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
+            doubts.append(ValidityWarning("extrapolates", text, values=numbers))
+    return tuple(doubts)
+
+
+def _with_histories(case: Case, drawn: Prediction, comm: MPI.Comm) -> Prediction:
     """Return a prediction with its histories. Collective on comm."""
     ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
     errors: list[Exception] = []

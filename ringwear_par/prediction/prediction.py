@@ -1,8 +1,9 @@
-"""A prediction: histories of a case at draws of what a fit knows."""
+"""A prediction: histories of a case at draws of what a fit knows, their bands and their folder."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -11,19 +12,27 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, ValidityWarning, legible
-from ringwear_par.results.key_numbers import time_words
+from ringwear_par.errors import InputError, ValidityWarning, legible, warning_lines
+from ringwear_par.files import folders
+from ringwear_par.pictures.matplotlib import panel_figure
+from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
+from ringwear_par.pictures.style import COLOURS, picture
+from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Outcome
-from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable, to_dataset
+from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, SOFTWARE, Variable, to_dataset
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
-#: histories that are predicted
+FILES = (folders.DRAWS, folders.BAND, folders.PREDICTION)
+#: histories that are predicted; the summary has the ends of all but two
 QUANTITIES = (
     "penetration", "approach", "force", "torque", "worn_volume_lower", "worn_volume_upper",
 )  # fmt: skip
+_CONDITIONS = ("approach", "force")
 #: probabilities of the ends of the intervals of 95 and 50 %, and of the median
 PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
 
@@ -33,7 +42,6 @@ class TimeTo(NamedTuple):
 
     #: half of the draws reach it by then
     median: float | None
-    #: holds 95 % of them
     interval: tuple[float | None, float | None]
     #: share of the draws that reach it before the end
     reached: float
@@ -48,13 +56,21 @@ class TimeTo(NamedTuple):
         )
         return cls(median, (low, high), float(np.isfinite(times).mean()))
 
-    def words(self, end: float) -> str:
-        """Return median and interval in words, of a test that ends at a time, s."""
-        middle, low, high = (
-            "after the end" if time is None else time_words(time, end)
-            for time in (self.median, *self.interval)
-        )
-        return middle if low == high else f"{middle} (from {low} to {high})"
+
+def depth_line(depth: Mapping[str, Any], end: float) -> str:
+    """Return when a depth is reached in words.
+
+    Parameters
+    ----------
+    depth : ``depth`` in mm, and the fields of ``TimeTo``.
+    end : s, of the test.
+    """
+    middle, low, high = (
+        "after the end" if time is None else time_words(time, end)
+        for time in (depth["median"], *depth["interval"])
+    )
+    spread = "" if low == high else f" (from {low} to {high})"
+    return f"{1e3 * depth['depth']:g} um of penetration: {middle}{spread}"
 
 
 def read_depth(text: str, faults: list[str]) -> float:
@@ -64,11 +80,6 @@ def read_depth(text: str, faults: list[str]) -> float:
             return depth
     faults.append(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
     return np.nan
-
-
-def depth_words(depth: float) -> str:
-    """Return a depth (mm) of penetration in words."""
-    return f"{1e3 * depth:g} um of penetration"
 
 
 def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
@@ -90,9 +101,7 @@ def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
 class Prediction(Outcome):
     """Histories of a case, one a draw."""
 
-    functions: ClassVar = dict.fromkeys(
-        ("summary", "to_dict", "plot", "save"), "ringwear_par.prediction.folder"
-    )
+    functions: ClassVar = {}
 
     #: "next specimen", "material" or the name of a specimen; what messages call the fit
     of: str
@@ -106,26 +115,15 @@ class Prediction(Outcome):
     values: FloatArray
     #: (draws, 2) mm, of the random wear of lower and upper; 0: none
     sizes: FloatArray
-    #: sentences about what was drawn, and what speaks against the numbers
-    sources: tuple[str, ...]
+    #: what speaks against the numbers
     doubts: tuple[ValidityWarning, ...]
     #: (steps,) s, and histories (draws, steps) by name, see ``QUANTITIES``
     time: FloatArray = field(default_factory=lambda: np.zeros(0))
     histories: Mapping[str, FloatArray] = field(default_factory=dict)
     #: draws that were left out, as their histories could not be computed
     failed: int = 0
-    versions: Mapping[str, str] = field(default_factory=versions)
-    #: mm of penetration, whose time the summary tells; None: none
+    #: mm of penetration, whose time the summary says; None: none
     depth: float | None = None
-
-    def __repr__(self) -> str:
-        return f"<Prediction of {self.of}: {len(self.values)} draws>"
-
-    @property
-    def whose(self) -> str:
-        """Of whom the band is: without scatter, a fit knows of no other specimens than its own."""
-        known = all(doubt.code != "no-scatter" for doubt in self.doubts)
-        return self.of if known else "the specimens tested"
 
     def quantiles(
         self, quantity: str = "penetration", probabilities: Sequence[float] = PROBABILITIES
@@ -159,25 +157,52 @@ class Prediction(Outcome):
             raise InputError(f"depth = {depth!r}: must be > 0 mm")
         return TimeTo.of(times_at(self.time, self.histories["penetration"], depth))
 
-    def variables(self) -> list[tuple[Variable, Any]]:
-        """Return all variables with their values: histories over (draw, step), values over draw."""
-        axes = [
-            Variable(name, (name,), "1", f"number of the {name}", integer=True)
-            for name in ("draw", "step")
-        ]
-        variables: list[tuple[Variable, Any]] = [
-            (axes[0], np.arange(len(self.values))), (axes[1], np.arange(len(self.time))),
-            (Variable("time", ("step",), "s", "time"), self.time),
-        ]  # fmt: skip
-        for name, values in self.histories.items():
-            variables.append((replace(HISTORIES[name], dimensions=("draw", "step")), values))
-        for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True):
-            variables.append((Variable(key, ("draw",), unit, "value of the fitted key"), values))
-        for body, sizes in zip(BODIES, self.sizes.T, strict=True):
-            if sizes.any():
-                name, meaning = f"process.wear.{body}", "size of the random wear"
-                variables.append((Variable(name, ("draw",), "mm", meaning), sizes))
-        return variables
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of prediction.json."""
+        depth = self.depth
+        # without scatter, a fit knows of no other specimens than its own
+        known = all(doubt.code != "no-scatter" for doubt in self.doubts)
+        content = {
+            "of": self.of, "whose": self.of if known else "the specimens tested",
+            "fit": self.fit, "draws": len(self.values), "failed": self.failed,
+            "seed": self.seed, "keys": dict(self.keys),
+            "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
+            "quantiles": {
+                name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}
+                for name in self.histories
+            },
+            "depth": None if depth is None else {"depth": depth, **self.time_to(depth)._asdict()},
+            "doubts": [doubt.to_dict() for doubt in self.doubts], "case": self.case,
+            "versions": versions(),
+        }  # fmt: skip
+        return {**content, "summary": _lines(content)}
+
+    def summary(self) -> str:
+        """Return the outcome as the command prints it: at the end of the case first."""
+        return "\n".join(self.to_dict()["summary"])
+
+    def plot(self) -> "Figure":
+        """Return the figure of the band over time."""
+        return panel_figure([[band_panel(self.to_dict())]], (4.6, 3.4))
+
+    def save(self, path: str | Path) -> None:
+        """Write all files into a folder; prediction.json, which says that it is whole, the last.
+
+        Raises
+        ------
+        InputError, ComputationError : the folder or the disk.
+        """
+        folder = Path(path)
+        with folders.new_files(folder, FILES, "predict"):
+            with atomic_hdf5(folder / folders.DRAWS) as file:
+                file.attrs.update(self._attributes)
+                for variable, values in self._variables():
+                    write_variable(file, variable, values)
+            contents = {
+                folders.BAND: lambda: picture(self.plot, str(folder / folders.BAND)),
+                folders.PREDICTION: lambda: folders.json_bytes(self.to_dict()),
+            }
+            folders.write_contents(folder, contents)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all draws over (draw, step).
@@ -186,10 +211,65 @@ class Prediction(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        return to_dataset(self.variables(), self.attributes, ["time"])
+        return to_dataset(self._variables(), self._attributes, ["time"])
 
     @property
-    def attributes(self) -> dict[str, Any]:
-        """What files say of it."""
+    def _attributes(self) -> dict[str, Any]:
         about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
-        return {"software": SOFTWARE, **about, **self.versions}
+        return {"software": SOFTWARE, **about, **versions()}
+
+    def _variables(self) -> list[tuple[Variable, Any]]:
+        """Return all variables with their values: histories over (draw, step), values over draw."""
+        lengths = {"draw": len(self.values), "step": len(self.time)}
+        variables: list[tuple[Variable, Any]] = [
+            (Variable(name, (name,), "1", f"number of the {name}", integer=True), np.arange(n))
+            for name, n in lengths.items()
+        ]
+        variables.append((Variable("time", ("step",), "s", "time"), self.time))
+        for name, values in self.histories.items():
+            variables.append((replace(HISTORIES[name], dimensions=("draw", "step")), values))
+        columns = [(key, unit, "value of the fitted key") for key, unit in self.keys.items()]
+        columns += [(f"process.wear.{body}", "mm", "size of the random wear") for body in BODIES]
+        every = np.column_stack([self.values, self.sizes]).T
+        for (key, unit, meaning), values in zip(columns, every, strict=True):
+            if key in self.keys or values.any():
+                variables.append((Variable(key, ("draw",), unit, meaning), values))
+        return variables
+
+
+def _lines(content: Mapping[str, Any]) -> list[str]:
+    """Return the summary of the contents of prediction.json, with its warnings."""
+    end, lines = content["time"][-1], []
+    for name, entry in content["quantiles"].items():
+        low, _, median, _, high = entry["values"][-1]
+        if name in _CONDITIONS or (high == 0.0 and name != "penetration"):
+            continue
+        unit, factor = DISPLAY_UNITS.get(name, (entry["unit"], 1.0))
+        unit = unit.replace("\N{MICRO SIGN}", "u")
+        first, middle, last = (f"{factor * value:.4g}" for value in (low, median, high))
+        spread = "" if first == last else f"  from {first} to {last} {unit}"
+        lines.append(f"{name.replace('_', ' ')}  {middle} {unit}{spread}")
+    lines[0] += f" (95 %, {content['whose']}, after {time_words(end, end)})"
+    if content["depth"] is not None:
+        lines.append(depth_line(content["depth"], end))
+    failed = f"; {content['failed']} more have no history" * bool(content["failed"])
+    lines.append(f"{content['draws']} draws of {legible(content['fit'])}{failed}")
+    return [*lines, *warning_lines(doubt["text"] for doubt in content["doubts"])]
+
+
+def band_panel(content: Mapping[str, Any]) -> Panel:
+    """Return the panel of the contents of prediction.json: penetration, bands of 50 and 95 %."""
+    time = np.array(content["time"], dtype=float)
+    unit, seconds = time_unit(float(time[-1]))
+    depth, factor = DISPLAY_UNITS["penetration"]
+    quantiles = np.array(content["quantiles"]["penetration"]["values"], dtype=float).T
+    time, (low, lower, median, upper, high) = time / seconds, factor * quantiles
+    return Panel(
+        Axis(f"time ({unit})", zero=True), Axis(f"penetration ({depth})", zero=True),
+        content.get("whose", content["of"]),
+        curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
+        bands=[
+            Band(time, low, high, "95 %", ("2.5 %", "97.5 %"), COLOURS[0], 0.18),
+            Band(time, lower, upper, "50 %", ("25 %", "75 %"), COLOURS[0], 0.35),
+        ],
+    )  # fmt: skip

@@ -42,7 +42,7 @@ def fit_page(folder: Path) -> page.Page:
         title = f"Design: {legible(folder.resolve().name)}"
     if (folder / folders.DESIGN).exists():
         with stored_outcome(folder / folders.DESIGN, "the outcome of ringwear design") as outcome:
-            sections.insert(max(len(sections) - 1, 0), _designed(folder, outcome))
+            sections.insert(max(len(sections) - 1, 0), _designed(outcome))
     kind = "Fit of a wear law" if title.startswith("Fit") else "Design of the next tests"
     return page.Page(kind, title, sections)
 
@@ -286,7 +286,7 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
         yield file[name]
 
 
-def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
+def _designed(outcome: Mapping[str, Any]) -> page.Section:
     scales = outcome["sd_scales"]
 
     def sds(design: Mapping[str, Any]) -> list[str]:
@@ -306,7 +306,6 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
         ]
         for number, design in enumerate(outcome["designs"], start=1)
     ]
-    rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
     rows.append(["today", "none", _DASH, *sds(outcome["today"])])
     units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
              for key, scale in scales.items()}  # fmt: skip
@@ -316,7 +315,7 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
                f"measured as in {outcome['measured_as']}"]),
         page.Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
-    panels, following = key_panels.design_panels(outcome), folder / folders.NEXT
+    panels = key_panels.design_panels(outcome)
     charts = [
         page.Chart(
             f"design-{number}", panel, "Predicted standard deviations after the best designs"
@@ -324,8 +323,6 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
         for number, panel in enumerate(panels)
     ]
     blocks.append(page.Charts(charts))
-    if following.exists():
-        blocks.append(page.Source("The best tests, as tables of a fit file", read_file(following)))
     return page.Section("The next tests", blocks)
 
 

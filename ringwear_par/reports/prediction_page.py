@@ -3,12 +3,10 @@
 import shlex
 from pathlib import Path
 
-import numpy as np
-
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
-from ringwear_par.prediction.folder import panel
+from ringwear_par.prediction.prediction import band_panel
 from ringwear_par.reports import blocks as page
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.results.variables import DISPLAY_UNITS
@@ -27,10 +25,6 @@ def prediction_page(folder: Path) -> page.Page:
         lines = [with_signs(line) for line in outcome["summary"]]
         warnings = [line.removeprefix(_WARNING) for line in lines if line.startswith(_WARNING)]
         answer = [line for line in lines if not line.startswith(_WARNING)]
-        quantiles = np.array(outcome["quantiles"]["penetration"]["values"], dtype=float).T
-        band = panel(
-            np.array(outcome["time"], dtype=float), quantiles, outcome.get("whose", outcome["of"])
-        )
         label = "Penetration over time: median, and bands that hold 50 and 95 % of the draws"
         header = ("at the end", "unit", *(f"{100 * p:g} %" for p in outcome["probabilities"]))
         rows = []
@@ -49,7 +43,7 @@ def prediction_page(folder: Path) -> page.Page:
         if warnings:
             summary.append(page.Lines(warnings, warning=True))
         summary.append(page.Table("Quantiles of the draws", header, rows))
-        chart = page.Chart("band", band, label, wide=True)
+        chart = page.Chart("band", band_panel(outcome), label, wide=True)
         sections = [
             page.Section("Summary", summary),
             page.Section("Penetration", [page.Charts([chart])]),

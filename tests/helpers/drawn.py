@@ -32,20 +32,14 @@ def draws_of(case, count=200, k=1e-7, p0=None, tau=0.0, size=0.0):
     )  # fmt: skip
 
 
-def fit_of(draws, warnings=(), **laws):
-    """Return what rooms read of a fit with these draws, and of laws compared, by name."""
-    alternatives = {law: SimpleNamespace(draws=of_law) for law, of_law in laws.items()}
-    return SimpleNamespace(draws=draws, doubts=warnings, alternatives=alternatives)
+def fit_of(draws):
+    """Return what rooms read of a fit with these draws."""
+    return SimpleNamespace(draws=draws)
 
 
-def save_fit(folder, fit):
-    """Write what rooms read of a fit's folder; one more law failed."""
+def save_fit(folder, fit, tests=()):
+    """Write what rooms read of the folder of a fit of tests, by name."""
     folder.mkdir()
-    laws = {"failed": {"error": "no history"}} | {law: {} for law in fit.alternatives}
-    content = {"parameters": {key: {} for key in fit.draws.keys},
-               "warnings": [*fit.doubts], "alternatives": laws}  # fmt: skip
-    (folder / "fit.json").write_text(json.dumps(content))
+    (folder / "fit.json").write_text(json.dumps({"experiments": {test: {} for test in tests}}))
     write_draws(folder / "draws.nc", fit.draws, {}, {}, {})
-    for number, other in enumerate(fit.alternatives.values(), start=1):
-        write_draws(folder / f"draws_{number}.nc", other.draws, {}, {}, {})
     return folder

@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.units import factor
 from ringwear_par.identification.definition.problem import DesignSpace, Experiment, Series
+from ringwear_par.results.key_numbers import time_words
 
 #: keys of the load, of which one may vary; keys of when profiles are measured
 LOADS = ("load.pressure", "load.force")
@@ -18,7 +21,7 @@ _LOADS, _INSTANTS, _DURATIONS, _SPEEDS = (15, 6), (10, 5), 10, 3
 #: time in which a load changes, as a share of the test
 _RAMP = 1e-3
 #: fewest readings over time of a record, which continues at its rate in a longer test
-RECORD = 10
+_RECORD = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Candidate:
     profiles: tuple[float, ...]
     #: its case, with the series of all candidates that have it, which share its history
     experiment: Experiment
-    #: numbers of its own series
+    #: numbers of the series that are read in it
     series: tuple[int, ...]
 
     @property
@@ -44,6 +47,29 @@ class Candidate:
         """Loads one after another, where they vary."""
         loads = next((self.keys[key] for key in LOADS if key in self.keys), ())
         return loads if isinstance(loads, tuple) else (loads,)
+
+    @property
+    def kind(self) -> tuple[float, ...]:
+        """What differs first: loads, or speed, duration and instants where loads do not vary."""
+        return self.loads or (self.keys.get("load.omega", 0.0), self.seconds, *self.profiles)
+
+    def name(self, space: DesignSpace) -> str:
+        """Return the test in a few words, in the units in which ranges are written."""
+
+        def in_unit(key: str, value: float) -> str:
+            unit = space.units.get(key, BY_PATH[key].unit)
+            return f"{value / factor(unit, BY_PATH[key].unit):.4g} {unit}"
+
+        words, at = [], [time_words(time, self.seconds) for time in self.profiles]
+        for key in (*LOADS, "load.omega"):
+            if key in self.keys:
+                values = self.loads if key in LOADS else (self.keys[key],)
+                words.append(" then ".join(in_unit(key, value) for value in values))
+        duration = in_unit("time.end", self.seconds) if "time.end" in space.units else ""
+        words.append(duration or time_words(self.seconds, self.seconds))
+        if not space.ranges.keys().isdisjoint(INSTANTS):
+            words.append(f"profile{'s' if at[1:] else ''} at {', '.join(at)}")
+        return ", ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of design.json."""
@@ -72,12 +98,12 @@ def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
         for part in parts if faces else ():
             name = f"at {end * part:.6g} s"
             series += [replace(f, name=f"{f.quantity} {name}", at=end * part) for f in faces]
-        case = template.case.replace(case_keys(keys, end))
+        case = template.case.replace(_case_keys(keys, end))
         test = Experiment(f"candidate {len(tests) + 1}", case, tuple(series))
         for some in instants if faces else [()]:
             first = [shared + len(faces) * parts.index(part) for part in some]
-            own = (*range(shared), *(i + j for i in first for j in range(len(faces))))
-            tests.append(Candidate(keys, tuple(end * part for part in some), test, own))
+            read = (*range(shared), *(i + j for i in first for j in range(len(faces))))
+            tests.append(Candidate(keys, tuple(end * part for part in some), test, read))
     return tests
 
 
@@ -109,7 +135,7 @@ def axes(space: DesignSpace) -> tuple[list[Any], ...]:
     return one("load.omega", _SPEEDS), loads, one("time.end", _DURATIONS), instants
 
 
-def case_keys(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
+def _case_keys(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
     """Return the keys of a test as a case has them, several loads as a schedule of equal parts."""
     changes = dict(keys)
     for key in LOADS:
@@ -124,7 +150,7 @@ def case_keys(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
 
 def _scaled(series: Series, longer: float) -> Series:
     """Return the readings over time of a longer test."""
-    if series.n < RECORD:
+    if series.n < _RECORD:
         return replace(series, x=series.x * longer)
     count = max(round(series.n * longer), 2)
     x = longer * np.linspace(series.x[0], series.x[-1], count)

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import BARS, DESIGN, NEXT, check_folder
+from ringwear_par.errors import ComputationError, InputError, counted
+from ringwear_par.files.folders import BARS, DESIGN, check_folder, json_bytes, write_outcome
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
+from ringwear_par.identification.definition.problem import Criterion, FittedParameter, Problem
 from ringwear_par.identification.design.candidates import (
     INSTANTS,
     LOADS,
@@ -31,18 +33,24 @@ from ringwear_par.identification.design.candidates import (
 from ringwear_par.identification.design.information import Before, before_tests, informations
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.pictures.key_panels import design_panels
+from ringwear_par.pictures.matplotlib import panel_figure
+from ringwear_par.pictures.style import picture
 from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
-_FOLDER = "ringwear_par.identification.design.design_folder"
 _MOST_CANDIDATES = 2000
-#: designs that are listed; combinations whose scores are computed together
-_LISTED, _AT_ONCE = 10, 50_000
+#: designs that are listed, and shown by a summary; combinations scored together
+_LISTED, _SHOWN, _AT_ONCE = 10, 5, 50_000
 #: share of the sd that bounds alone leave, below which a key of which nothing else was known is
-#: identified
-_IDENTIFIED = 0.5
+#: identified; factor on an sd that is nearly the same
+_IDENTIFIED, _NEARLY = 0.5, 1.1
+#: inches: width and height of a panel, height of a test of a design in bars
+_WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
+_CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
+             "A": "smallest mean variance over the widths of the bounds (A)"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +59,6 @@ class Design:
 
     #: their candidates, by number
     tests: tuple[int, ...]
-    #: by the criterion, larger is better
-    score: float
     #: bits, information on all keys: one bit halves one sd
     gain: float
     #: (m,) predicted standard deviations of the keys' values; infinite: not identified
@@ -63,7 +69,7 @@ class Design:
 class DesignResult(Outcome):
     """The result of ``design``: all tests that could be made, and what any of them would tell."""
 
-    functions: ClassVar = dict.fromkeys(("summary", "to_dict", "save", "plot"), _FOLDER)
+    functions: ClassVar = {}
 
     #: the fit
     problem: Problem
@@ -73,39 +79,26 @@ class DesignResult(Outcome):
     candidates: tuple[Candidate, ...]
     #: (c, d, m, m) information in each about the unknowns of the material, at each draw
     information: FloatArray
-    #: what the tests of the fit file would tell
-    planned_information: FloatArray
     #: folder of the earlier fit that counts, "" for none
     after: str
-    #: tests that have no history, and why the first one has none
-    failed: tuple[Candidate, ...]
+    #: number of tests that have no history, and why the first one has none
+    failed: int
     reason: str
     #: number of histories
     histories: int
-    #: of the software
-    versions: Mapping[str, str]
-
-    def __repr__(self) -> str:
-        tests = " + ".join(str(self.candidates[i].to_dict()) for i in self.designs[0].tests)
-        return f"<DesignResult: {tests}>"
 
     @property
     def today(self) -> Design:
         """What is known without further tests."""
-        return self._design(np.zeros_like(self.planned_information))
-
-    @property
-    def planned(self) -> Design:
-        """What is known after the tests of the fit file."""
-        return self._design(self.planned_information)
+        return self._design(np.zeros_like(self.information[0]))
 
     @property
     def single(self) -> FloatArray:
         """(c, m) predicted standard deviations after each candidate alone."""
-        return self.sds(self.information)
+        return self._sd_of_values(self.information)
 
-    def sds(self, information: FloatArray) -> FloatArray:
-        """Return predicted standard deviations (..., m) of values by information (..., d, m, m)."""
+    def _sd_of_values(self, information: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of values by information (..., d, m, m)."""
         sd, before = self._sd(information), self.before
         most = _IDENTIFIED * np.sqrt(np.diag(before.covariance))
         return np.where(before.unknown & (sd > most), np.inf, sd * before.slopes)
@@ -131,8 +124,8 @@ class DesignResult(Outcome):
 
     def _design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
         """Return the design of tests that have information (d, m, m) together."""
-        score, gain = float(self._score(information)), float(self._gain(information))
-        return Design((*tests,), score, gain / np.log(2.0), self.sds(information))
+        gain = float(self._gain(information)) / np.log(2.0)
+        return Design((*tests,), gain, self._sd_of_values(information))
 
     def _scores(self, tests: IntArray) -> FloatArray:
         """Return the score (rows,) of tests (rows, count) together; -inf beyond the time."""
@@ -165,17 +158,128 @@ class DesignResult(Outcome):
         for row in np.argsort(-scores, kind="stable").tolist():
             if len(kinds) == _LISTED or scores[row] == -np.inf:
                 break
-            kind = tuple(sorted(self._kind(self.candidates[i]) for i in tests[row]))
+            kind = tuple(sorted(self.candidates[i].kind for i in tests[row]))
             kinds.setdefault(kind, tests[row])
         return tuple(
             self._design(self.information[some].sum(axis=0), some.tolist())
             for some in kinds.values()
         )
 
-    @staticmethod
-    def _kind(test: Candidate) -> tuple[float, ...]:
-        """Return what differs first: loads, or speed, duration and instants without them."""
-        return test.loads or (test.keys.get("load.omega", 0.0), test.seconds, *test.profiles)
+    def _only_number(self) -> dict[str, list[float]]:
+        """Return keys whose scatter alone limits what tests tell, whichever they are.
+
+        Of each the sd of values between specimens, and the least that so many more can leave.
+        """
+        best, before, limited = self.designs[0], self.before, {}
+        count, precision = len(best.tests), np.diag(np.linalg.inv(before.covariance))
+        usual = np.median(self._sd_of_values(count * self.information), axis=0)
+        for j, key in enumerate(self.problem.keys):
+            if not (variance := before.scatter[j]):
+                continue
+            least = float(before.slopes[j] / np.sqrt(precision[j] + count / variance))
+            if best.sd[j] < _NEARLY * least and usual[j] < _NEARLY * best.sd[j]:
+                limited[key] = [float(before.slopes[j] * np.sqrt(variance)), least]
+        return limited
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of design.json."""
+        problem, space = self.problem, self.problem.design
+        scales = {
+            p.key: {"factor": 100.0 / value, "unit": "%"} if p.log
+            else {"factor": 1.0 / unit_scale(p), "unit": _unit(problem, p)}
+            for p, value in zip(problem.parameters, self.before.values.tolist(), strict=True)
+        }  # fmt: skip
+
+        def entry(design: Design) -> dict[str, Any]:
+            sd = [value if np.isfinite(value) else None for value in design.sd.tolist()]
+            return {"gain": design.gain, "sd": dict(zip(problem.keys, sd, strict=True))}
+
+        designs = []
+        for design in self.designs:
+            tests = [self.candidates[i] for i in design.tests]
+            designs.append(
+                {"name": " + ".join(test.name(space) for test in tests),
+                 "experiments": [test.to_dict() for test in tests],
+                 "seconds": sum(test.seconds for test in tests), **entry(design)}
+            )  # fmt: skip
+        return {
+            "criterion": space.criterion,
+            "parameters": dict(zip(problem.keys, self.before.values.tolist(), strict=True)),
+            "after": self.after or None, "candidates": len(self.candidates),
+            "failed": self.failed, "reason": self.reason or None,
+            "histories": self.histories, "measured_as": problem.experiments[0].name,
+            "sd_scales": scales, "designs": designs, "today": entry(self.today),
+            "only_number_matters": self._only_number(), "versions": versions(),
+        }  # fmt: skip
+
+    def summary(self) -> str:
+        """Return the outcome in a few lines."""
+        problem, content = self.problem, self.to_dict()
+        about = ", ".join(
+            f"{p.key} = {value / unit_scale(p):.4g} {_unit(problem, p)}".rstrip()
+            for p, value in zip(problem.parameters, content["parameters"].values(), strict=True)
+        )
+        around = (
+            "without priors or an earlier fit (--after) it holds there only"
+            if self.before.unknown.all() else f"means over {len(self.before.draws)} draws"
+        )  # fmt: skip
+        count = len(self.designs[0].tests)
+        lines = [
+            f"{problem.name}: {count} of {content['candidates']} tests, "
+            f"{_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
+            f"{self.histories} histories",
+            f"{f'after {self.after}' if self.after else 'at the start'}: {about}; {around}",
+        ]
+        if scattering := [p.key for p in problem.parameters if p.scatter is not None]:
+            lines.append(
+                f"each test is of a new specimen, and {', '.join(scattering)} differs between "
+                "specimens, by as much as is taken as known; numbers below are of the material"
+            )
+        rows = [("today", content["today"])]
+        rows += [(design["name"], design) for design in content["designs"][:_SHOWN]]
+        width = max(len(name) for name, _ in rows)
+        for name, design in rows:
+            sds = "; ".join(
+                f"{key} not identified" if sd is None else f"{key} sd {_in_unit(content, key, sd)}"
+                for key, sd in design["sd"].items()
+            )
+            gain = f"; gain {design['gain']:.3g} bits" * (name != "today")
+            lines.append(f"  {name.ljust(width)}  {sds}{gain}")
+        for key, ends in content["only_number_matters"].items():
+            between, least = (_in_unit(content, key, sd) for sd in ends)
+            lines.append(
+                f"{key}: specimens differ by {between}, so that {count} more leave an sd of "
+                f"{least} at least, and most candidates come near it: only their number matters"
+            )
+        if self.failed:
+            tests = counted(self.failed, "test")
+            lines.append(f"{tests} without a history are left out: {self.reason}")
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """Return bars of the predicted standard deviations of the best designs."""
+        content = self.to_dict()
+        panels = design_panels(content)
+        lines = sum(len(entry["experiments"]) for entry in content["designs"])
+        return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
+
+    def save(self, path: str | Path) -> None:
+        """Write both files into a folder, see ``write_outcome``."""
+        contents = {
+            BARS: lambda: picture(self.plot, str(Path(path, BARS))),
+            DESIGN: lambda: json_bytes(self.to_dict()),
+        }
+        write_outcome(Path(path), "fit", contents)
+
+
+def _unit(problem: Problem, parameter: FittedParameter) -> str:
+    return parameter.unit or unit_of_key(problem, parameter.key).strip()
+
+
+def _in_unit(content: Mapping[str, Any], key: str, sd: float) -> str:
+    """Return a standard deviation of a key as people read it."""
+    scale = content["sd_scales"][key]
+    return f"{scale['factor'] * sd:.2g} {scale['unit']}".rstrip()
 
 
 def design(
@@ -202,7 +306,7 @@ def design(
     Raises
     ------
     InputError : all faults of the file and its data, or of the earlier fit.
-    ComputationError : a test of the fit file has no history, or too few candidates have one.
+    ComputationError : too few candidates have a history.
 
     Examples
     --------
@@ -222,33 +326,30 @@ def design(
         return problem, before, candidates(problem.design, problem.experiments[0])
 
     problem, before, tests = on_first_rank(comm, read)
-    own = len(problem.experiments)
-    whole = (*problem.experiments, *dict.fromkeys(test.experiment for test in tests))
-    parts: list[tuple[int, Any]] = [(i, range(len(t.series))) for i, t in enumerate(whole[:own])]
-    parts += [(whole.index(test.experiment), test.series) for test in tests]
+    # whose depths shares of random wear are of
+    existing = problem.experiments if problem.settings.process else ()
+    whole = (*existing, *dict.fromkeys(test.experiment for test in tests))
+    parts = [(whole.index(test.experiment), test.series) for test in tests]
     # signals are not waited for: there is nothing to keep
     readings = Readings(replace(problem, experiments=whole, alternatives={}), comm, StopSignals())
 
     def lead() -> DesignResult:
-        information = informations(readings, before, own, parts)
+        information = informations(readings, before, len(existing), parts)
         good, space = np.isfinite(information).all(axis=(1, 2, 3)), problem.design
-        if not good[:own].all():
-            name = whole[int(np.argmin(good))].name
-            raise ComputationError(f'{problem.name}: experiment "{name}": {readings.reason}')
-        left = tuple(itertools.compress(tests, good[own:]))
-        failed = tuple(itertools.compress(tests, ~good[own:]))
+        left = tuple(itertools.compress(tests, good))
         shortest = min((test.seconds for test in left), default=np.inf)
+        failed = len(tests) - len(left)
         if shortest * space.experiments > space.time_limit or not left:
             raise ComputationError(
-                f"{problem.name}: design: {len(failed)} of {len(tests)} tests cannot be computed, "
-                f"which leaves too few: {readings.reason}"
+                f"{problem.name}: design: {failed} of {len(tests)} tests cannot be computed, which "
+                f"leaves too few: {readings.reason}"
             )
-        found = DesignResult(
-            problem, before, left, information[own:][good[own:]], information[:own].sum(axis=0),
-            str(after or ""), failed, readings.reason, readings.count, versions(),
+        result = DesignResult(
+            problem, before, left, information[good], str(after or ""), failed, readings.reason,
+            readings.count,
         )  # fmt: skip
-        assert found.designs  # once, on this rank
-        return found
+        assert result.designs  # once, on this rank
+        return result
 
     return readings.lead(lead)
 
@@ -293,7 +394,7 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    files = (DESIGN, NEXT, BARS)
+    files = (DESIGN, BARS)
     on_first_rank(comm, lambda: check_folder(folder, files, "fit"))
     result = design(source, comm, after=after, criterion=criterion)
 

@@ -79,10 +79,9 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
         values = draws.values(draws.material)[:, order]
         material = np.array([problem.unknowns(row) for row in values])
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
-        found = {key: 0.0 for key, _ in draws.scatter}
+        variances |= dict.fromkeys([key for key, _ in draws.scatter], 0.0)
         for (key, _), tau in draws.scatter.items():
-            found[key] += float(np.median(tau)) ** 2
-        variances |= {key: found[key] for key in found.keys() & variances}
+            variances[key] += float(np.median(tau)) ** 2
         sizes = [np.median(draws.process[:, BODIES.index(body_of_wear(key))]) for key in process]
     at = problem.values(x)
     slopes = np.array([p.slope(v) for p, v in zip(parameters, at, strict=True)])
@@ -104,7 +103,7 @@ def _along(material: FloatArray) -> FloatArray:
 
 
 def informations(
-    readings: Readings, before: Before, own: int, parts: Sequence[tuple[int, Sequence[int]]]
+    readings: Readings, before: Before, existing: int, parts: Sequence[tuple[int, Sequence[int]]]
 ) -> FloatArray:
     """Return the information (tests, d, m, m) about the material; NaN where there is no history.
 
@@ -112,26 +111,26 @@ def informations(
 
     Parameters
     ----------
-    own : number of tests of the fit file, which are the first ones: shares of random wear are of
-        the largest depth of these.
+    existing : number of tests of the fit file, which are the first ones: shares of random wear are
+        of the largest depth of these.
     parts : number of the test and of those of its series that are read, of each wanted.
     """
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
     _, slopes = readings.with_slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
     expected = [noise.expected_share for noise in problem.settings.process.values()]
-    deepest = [max(test[i][1].max() for test in clocks[:own]) for i in range(len(depths))]
+    deepest = [max(test[i][1].max() for test in clocks[:existing]) for i in range(len(depths))]
     of_sizes = np.sqrt(before.sizes / depths)
     shares = np.where(np.isnan(of_sizes), expected * np.sqrt(deepest), of_sizes)
-    found = np.full((len(parts), d, m, m), np.nan)
-    for matrices, (number, series) in zip(found, parts, strict=True):
+    every = np.full((len(parts), d, m, m), np.nan)
+    for matrices, (number, series) in zip(every, parts, strict=True):
         test = tests[number]
         if np.isfinite(slopes[number]).all():
             setting = replace(Setting.before(test), clocks=tuple(clocks[number]))
             matrices[:] = information(
                 test, series, setting, shares, slopes[number], problem.settings.loss, before.scatter
             )
-    return found
+    return every
 
 
 def information(
@@ -162,6 +161,6 @@ def information(
     node = int(np.abs(np.log(grown.times / times)).sum(axis=1).argmin())
     taken = grown.directions(rows, np.zeros(rows.shape[1]))[node]
     rows, taken = (columns.reshape(-1, *slopes.shape[1:]) for columns in (rows, taken))
-    own = np.einsum("ndi,ndj->dij", rows, rows) - np.einsum("gdi,gdj->dij", taken, taken)
-    found: FloatArray = np.linalg.solve(np.eye(own.shape[-1]) + own * scatter, own)
-    return found
+    alone = np.einsum("ndi,ndj->dij", rows, rows) - np.einsum("gdi,gdj->dij", taken, taken)
+    of_material: FloatArray = np.linalg.solve(np.eye(len(scatter)) + alone * scatter, alone)
+    return of_material

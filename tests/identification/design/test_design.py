@@ -3,7 +3,6 @@
 import copy
 import itertools
 import json
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -163,8 +162,8 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     """Half of the ring would be worn off by the longest ones."""
     found = rw.design(tables({"time.end": [100.0, 500000.0]}, experiments=1), comm)
-    assert found.failed
-    assert len(found.failed) + len(found.candidates) == 10
+    assert found.failed > 0
+    assert found.failed + len(found.candidates) == 10
     assert "worn off lower" in found.summary()
     with pytest.raises(rw.ComputationError, match="too few"):
         rw.design(tables({"time.end": [500000.0, 600000.0]}, experiments=1), comm)
@@ -189,23 +188,16 @@ def test_candidates_keep_to_their_ranges(tables):
     assert len({test.experiment for test in every}) == len(every) / (10 + 10)
 
 
-def test_the_folder_holds_the_next_tests(tables, laboratory, tmp_path, comm, capsys):
-    """In the units of the ranges, with the noise of the readings that they are measured as."""
+def test_the_folder(tables, laboratory, tmp_path, comm, capsys):
+    """Loads are said in the units of the ranges."""
     source, folder = tables({"load.pressure": ["400 bar", "960 bar"]}), tmp_path / "next"
-    early = {"quantity": "profile.lower", "r": {"from": 28.0, "to": 32.0, "count": 9},
-             "unit": "mm", "at": 0.2 * END, "sd": 0.6}  # fmt: skip
-    source["experiment"][0]["data"].insert(0, early)
     file = laboratory[0] / "fit.toml"
     file.write_text(toml_text(source))
     run_design(file, folder, comm)
-    assert {path.name for path in folder.iterdir()} == {"design.json", "design.png", "next.toml"}
-    stored = json.loads((folder / "design.json").read_text())
-    tests = tomllib.loads((folder / "next.toml").read_text())["experiment"]
-    for test, told in zip(tests, stored["designs"][0]["experiments"], strict=True):
-        assert test["set"]["load.pressure"] == f"{10.0 * told['load.pressure']:.9g} bar"
-        noise = [(one["quantity"], one["unit"], one["sd"]) for one in test["data"]]
-        assert noise == [("penetration", "um", 0.2), ("profile.lower", "um", 0.08)]
-    assert "2 of 15 tests" in capsys.readouterr().out
-    # beside those of the fit file they are planned tests, which tell what it says
-    planned = rw.design(source | {"experiment": tests}, comm).planned
-    assert planned.sd == pytest.approx([*stored["designs"][0]["sd"].values()], rel=1e-6)
+    assert {path.name for path in folder.iterdir()} == {"design.json", "design.png"}
+    best, *_ = json.loads((folder / "design.json").read_text())["designs"]
+    loads = [f"{10.0 * test['load.pressure']:.4g} bar, 100 s" for test in best["experiments"]]
+    assert best["name"] == " + ".join(loads)
+    output = capsys.readouterr().out
+    assert "2 of 15 tests" in output
+    assert best["name"] in output
