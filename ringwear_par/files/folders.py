@@ -11,7 +11,7 @@ from ringwear_par.files.writing import atomic_write, check_writable
 
 #: files of a fit: its outcome, which is written last, its readings and two figures
 FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
-#: file of a fit: draws of what it knows, which ArviZ opens; of other laws draws_1.nc, ...
+#: file of a fit: draws of what it knows, which ArviZ opens
 POSTERIOR = "draws.nc"
 #: file of a fit with scatter: the values of specimens
 SPECIMENS = "specimens.png"

@@ -16,7 +16,6 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -60,8 +59,6 @@ class Draws:
     laws: Mapping[str, str]
     #: (tests, 5), see ``conditions_of``
     conditions: FloatArray
-    #: logarithm of the probability of the readings, but for a constant of theirs
-    log_evidence: float
     #: how many independent draws they are worth
     effective: float
 
@@ -133,11 +130,6 @@ def _law_name(law: WearLaw | None) -> str:
     return f"{name} {hashlib.sha256(source.encode()).hexdigest()[:12]}" if source else name
 
 
-def draws_file(law: int) -> str:
-    """Return what the draws of a fit's laws are called, by their numbers; 0 is its own."""
-    return f"draws_{law}.nc" if law else POSTERIOR
-
-
 def write_draws(
     path: Path,
     draws: Draws,
@@ -163,7 +155,7 @@ def write_draws(
                 "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter],
                 "specimens": draws.specimens,
                 "laws": dict(draws.laws), "conditions": draws.conditions.tolist(),
-                "log_evidence": draws.log_evidence, "effective": draws.effective,
+                "effective": draws.effective,
             }
         )  # fmt: skip
         _axes(group, chain=CHAINS, draw=by_chain[1], test=len(draws.specimens))
@@ -248,5 +240,5 @@ def read_draws(path: Path) -> Draws:
             keys, tuple(about["units"]), logarithmic, np.array(about["bounds"]), values, of_tests,
             {(key, level): column(_scatter_name(key, level)) for key, level in scatter}, process,
             tuple(about["specimens"]), about["laws"], np.array(about["conditions"], dtype=float),
-            about["log_evidence"], about["effective"],
+            about["effective"],
         )  # fmt: skip

@@ -167,7 +167,7 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
         specimens=tuple(test.groups[0] for test in problem.experiments),
         laws=law_names(problem.experiments[0].case),
         conditions=np.array([conditions_of(t.case, problem.keys) for t in problem.experiments]),
-        log_evidence=solution.log_evidence, effective=min(solution.effective, float(len(rows))),
+        effective=min(solution.effective, float(len(rows))),
     )  # fmt: skip
     return draws, rows
 

@@ -22,7 +22,7 @@ from ringwear_par.files.folders import (
     write_contents,
 )
 from ringwear_par.identification.definition.problem import BASE, body_of_wear
-from ringwear_par.identification.draws import draws_file, write_draws
+from ringwear_par.identification.draws import write_draws
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
 from ringwear_par.pictures.style import picture
@@ -40,9 +40,8 @@ def save(fit: FitResult, folder: Path) -> None:
     with new_files(folder, FILES, "fit"):
         with atomic_hdf5(folder / READINGS) as file:
             _write(file, fit)
-        for number, law in enumerate((fit, *fit.alternatives.values())):
-            readings, places = drawn_readings(law)
-            write_draws(folder / draws_file(number), law.draws, law.versions, places, readings)
+        readings, places = drawn_readings(fit)
+        write_draws(folder / POSTERIOR, fit.draws, fit.versions, places, readings)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
         if not fit.problem.scatters:
             del figures[SPECIMENS]

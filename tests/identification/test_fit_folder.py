@@ -56,7 +56,7 @@ def test_a_command_writes_nothing_in_a_dry_run(tables, comm, capsys, tmp_path):
 
 def test_what_is_written(folder, found):
     assert sorted(p.name for p in folder.iterdir()) == [
-        "draws.nc", "draws_1.nc", "fit.json", "fit.png", "parameters.png", "results.h5",
+        "draws.nc", "fit.json", "fit.png", "parameters.png", "results.h5",
     ]  # fmt: skip
     stored = json.loads((folder / "fit.json").read_text())
     assert stored == json.loads(json.dumps(found.to_dict()))
