@@ -1,7 +1,6 @@
 """The page of a sweep."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,16 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
-from ringwear_par.studies.analysis.responses import done_cases
-from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.choice import Choice, Key, choose, raw_words
-from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
-from ringwear_par.studies.pictures.histories import case_words, histories
+from ringwear_par.studies.pictures.effects import (
+    Choice,
+    Key,
+    choose,
+    effects,
+    index_panels,
+    raw_words,
+)
+from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.storage.end_values import (
     display_of,
     end_value_of,
@@ -28,6 +31,7 @@ from ringwear_par.studies.storage.end_values import (
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
 from ringwear_par.studies.storage.stored_variables import entry_label
+from ringwear_par.studies.surrogate import Indices, done_cases
 
 #: most cases of the table
 _MOST = 1000
@@ -47,13 +51,14 @@ def sweep_page(folder: Path) -> page.Page:
     ensemble = read_ensemble(folder)
     sections = [page.Section("Summary", _summary(ensemble))]
     if done_cases(ensemble).any():
-        regressions, indices, absence = surrogate_and_indices(ensemble)
-        choice = choose(ensemble, regressions, indices)
+        choice = choose(ensemble)
         sections.append(page.Section("Histories", [_histories(ensemble, choice)]))
-        sections.append(page.Section("Final values", _effects(ensemble, choice, absence)))
-        absence = "No indices: they need two varied numbers, and a design of enough cases."
-        blocks: list[page.Block] = [_index_charts(indices) if indices else page.Lines([absence])]
-        sections.append(page.Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
+        sections.append(page.Section("Final values", _effects(ensemble, choice)))
+        absence = "No Sobol' indices: they need two varied keys, and a good surrogate."
+        blocks: list[page.Block] = [page.Lines([absence])]
+        if choice.indices:
+            blocks = [_index_charts(choice), *map(_index_table, choice.indices)]
+        sections.append(page.Section("Sensitivity", blocks))
     sections.append(page.Section("Cases", _cases(ensemble)))
     sections.append(_reproduced(ensemble))
     return page.Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
@@ -153,9 +158,9 @@ def _histories(ensemble: Ensemble, choice: Choice) -> page.Charts:
     return page.Charts([page.Chart("histories", panel, label, 440, wide=True)])
 
 
-def _index_charts(indices: Sequence[Indices]) -> page.Charts:
+def _index_charts(choice: Choice) -> page.Charts:
     charts = []
-    for output, panel in index_panels(indices).items():
+    for output, panel in index_panels(choice).items():
         label = f"Bar chart: {panel.title}; the table has the numbers"
         height = 160 + 55 * len(panel.y.categories)
         charts.append(page.Chart(_name("indices", output), panel, label, height))
@@ -167,37 +172,25 @@ def _name(*words: str) -> str:
     return "-".join(words).replace("_", "-").replace(".", "-")
 
 
-def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[page.Block]:
+def _effects(ensemble: Ensemble, choice: Choice) -> list[page.Block]:
     charts = [
-        page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}, a point each case")
+        page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}")
         for names, panel in effects(ensemble, choice).items()
     ]
-    cases = pointed_cases(choice)
-    lines = [f"{choice.counts}: a point each case, named where the pointer is."]
-    if len(cases) < len(choice.cases):
-        lines.append(
-            f"{len(cases)} of {len(choice.cases)} cases are drawn, chosen at random; medians are "
-            "of all."
-        )
-    if choice.responses is not None:
-        lines.append("; ".join(choice.responses.remarks))
-    elif absence:
-        lines.append(f"No surrogate: {absence}")
-    return [page.Lines(lines), page.Charts(charts, points=case_words(ensemble, choice, cases))]
+    lines = [choice.counts, *choice.remarks()]
+    if choice.absence:
+        lines.append(f"No surrogate: {choice.absence}")
+    return [page.Lines(lines), page.Charts(charts)]
 
 
 def _index_table(indices: Indices) -> page.Table:
-    columns = [indices.first, indices.influence]
-    widths = [w for w in (indices.first_width, indices.influence_width) if w is not None]
-    header = ["key", *indices.names]
-    header += ["half-width of the first (95 %)", "of the second"][: len(widths)]
     rows = [
-        (key, *(f"{column[i]:.3f}" for column in (*columns, *widths)))
-        for i, key in enumerate(indices.keys)
+        (key, f"{first:.3f}", f"{total:.3f}")
+        for key, first, total in zip(indices.keys, indices.first, indices.total, strict=True)
     ]
-    source = " ".join(indices.source.split())
-    noise = f"; of a key without influence {indices.noise:.3f}" if indices.noise else ""
-    return page.Table(f"Sensitivity of {final_name(indices.output)}: {source}{noise}", header, rows)
+    header = ("key", "first order: by the key alone", "total: with all others")
+    caption = f"Sobol' indices of the {final_name(indices.output)}, from the surrogate"
+    return page.Table(caption, header, rows)
 
 
 def _cases(ensemble: Ensemble) -> list[page.Block]:
@@ -233,8 +226,7 @@ def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
 
 def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:
     """Return a table of some cases."""
-    keys = [Key.of(name, column, unit=ensemble.unit(name))
-            for name, column in ensemble.varied.items()]  # fmt: skip
+    keys = [Key.of(ensemble, name) for name in ensemble.varied]
     displays = {name: display_of(name) for name in ensemble.final}
     header = ["case", "status", *(key.label for key in keys)]
     header += [display.label for display in displays.values()]

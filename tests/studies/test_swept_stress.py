@@ -6,7 +6,6 @@ from mpi4py import MPI
 from swept import CASE, table, write_study
 
 import ringwear_par as rw
-from ringwear_par.studies.analysis.surrogate import surrogate
 
 LAYER = """
 [[lower.layers]]
@@ -152,19 +151,18 @@ def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
 
 def test_surrogates_answer_for_stresses(swept):
     """But for what jumps from place to place, or what not all cases have."""
-    made = surrogate(swept)
+    made = rw.surrogate(swept)
     assert {"max_mises", "mises[1]", "worn_volume_lower_layers[body]"} <= set(made.names)
     assert not {"max_mises_z", "time_through_lower", "mises[0]"} & set(made.names)
     with rw.open_ensemble(swept) as data:
         at = {name: data[name].values for name in ("lower.layers[0].thickness", "load.pressure")}
         np.testing.assert_allclose(made.predict(at)["mises[1]"], data.final_mises[:, 1], rtol=1e-6)
     # without its state of stress at all steps
-    early = surrogate(swept, times=[5.0]).names
+    early = rw.surrogate(swept, times=[5.0]).names
     assert "max_mises" not in early
     assert "share_through_lower" in early
 
 
-@pytest.mark.usefixtures("few_resamples")
 def test_figures_and_pages_show_them(swept, tmp_path):
     labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]
     assert "largest von Mises stress (MPa)" in labels
