@@ -25,12 +25,12 @@ from ringwear_par.results.result import summary as summary
 from ringwear_par.results.result import to_dict as to_dict
 from ringwear_par.results.storage.result_files import open_result as open_result
 from ringwear_par.studies.analysis.surrogate import surrogate as surrogate
-from ringwear_par.studies.definition.study import Study as Study
-from ringwear_par.studies.definition.study import read_study as read_study
-from ringwear_par.studies.execution.many import simulate_all as simulate_all
-from ringwear_par.studies.execution.sweep import sweep as sweep
+from ringwear_par.studies.ensemble import open_ensemble as open_ensemble
+from ringwear_par.studies.many import simulate_all as simulate_all
 from ringwear_par.studies.pictures.plot import plot as plot
-from ringwear_par.studies.storage.ensemble import open_ensemble as open_ensemble
+from ringwear_par.studies.study import Study as Study
+from ringwear_par.studies.study import read_study as read_study
+from ringwear_par.studies.sweep import sweep as sweep
 from ringwear_par.version import __version__ as __version__
 from ringwear_par.wear.law import WearLaw as WearLaw
 from ringwear_par.wear.local_state import LocalState as LocalState

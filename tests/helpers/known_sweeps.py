@@ -11,7 +11,7 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.case_index import CaseIndex
-from ringwear_par.studies.storage.ensemble import read_ensemble
+from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.storage.results_writer import CaseList, write_results
 from ringwear_par.studies.storage.shards import Shard, read_shard
 
