@@ -22,9 +22,9 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.storage.end_values import MAIN_END_VALUES, end_value_of, entries
-from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.storage.stored_variables import AT_STATES
+from ringwear_par.studies.end_values import MAIN_END_VALUES, end_value_of, entries
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.stored_variables import AT_STATES
 
 if TYPE_CHECKING:
     import xarray
@@ -385,7 +385,7 @@ def surrogate(
         for name, array in values.items()
         if names is None or name in names
     }
-    made = Surrogate(factors, points, responses, int(ensemble.in_study.sum()))
+    made = Surrogate(factors, points, responses, len(ensemble.ids))
     coarse = [f"{n} {share_words(e)}" for n, e in made.relative_error.items() if e > COARSE]
     if coarse:
         log.warning(
@@ -396,8 +396,8 @@ def surrogate(
 
 
 def done_cases(ensemble: Ensemble) -> BoolArray:
-    """Return whether each case is of the study and done."""
-    return ensemble.in_study & (np.array(ensemble.status) == "done")
+    """Return whether each case is done."""
+    return np.array(ensemble.status) == "done"
 
 
 def chosen_cases(cases: IntArray, most: int) -> IntArray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.storage.blocks import Block
-from ringwear_par.studies.storage.stored_variables import FIELDS, OF_A_CASE
+from ringwear_par.studies.stored_variables import FIELDS, OF_A_CASE
 
 
 @dataclass

@@ -19,7 +19,7 @@ from swept import CASE
 
 import ringwear_par as rw
 from ringwear_par.studies.execution import many
-from ringwear_par.studies.execution.many import simulate_all
+from ringwear_par.studies.many import simulate_all
 
 KINDS = [rw.FailedResult, rw.Result, rw.FailedResult]
 

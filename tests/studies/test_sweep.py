@@ -14,7 +14,7 @@ import ringwear_par as rw
 from ringwear_par import version
 from ringwear_par.studies.execution import pairs, plan, sweep, team_store
 from ringwear_par.studies.storage import case_table, case_variables, results_writer
-from ringwear_par.studies.storage.ensemble import open_ensemble, read_ensemble
+from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 
 #: three cases of one operator, and six of two
 COEFFICIENTS = '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }\n'

@@ -16,8 +16,8 @@ from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_value
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS, in_words, number_text
-from ringwear_par.studies.storage.end_values import display_of, figure_columns, final_name
-from ringwear_par.studies.storage.ensemble import Ensemble
+from ringwear_par.studies.end_values import display_of, figure_columns, final_name
+from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.surrogate import (
     COARSE,
     SEED,
@@ -193,11 +193,9 @@ def choose(ensemble: Ensemble) -> Choice:
 
 
 def _counts(ensemble: Ensemble) -> str:
-    """Return in words how many cases there are, and how many of them are not drawn."""
-    status = np.array(ensemble.status)[ensemble.in_study]
-    words = [counted(len(status), "case")]
-    counts = {word: int((status == word).sum()) for word in ("failed", "incomplete")}
-    return ", ".join(words + [f"{count} {word}" for word, count in counts.items() if count])
+    """Return in words how many cases there are, and how many of them failed."""
+    failed = ensemble.status.count("failed")
+    return counted(len(ensemble.status), "case") + (f", {failed} failed" if failed else "")
 
 
 def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:

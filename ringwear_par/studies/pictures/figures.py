@@ -18,9 +18,9 @@ from ringwear_par.pictures.matplotlib import (
 )
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, number_text, plain, set_legend
+from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.pictures.effects import Choice, choose, effects, index_panels
 from ringwear_par.studies.pictures.histories import FEW, histories
-from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 
