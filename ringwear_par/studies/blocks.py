@@ -44,8 +44,10 @@ log = logging.getLogger(__name__)
 #: folder of the blocks, in that of the sweep
 FOLDER = "blocks"
 FILE_KIND = "a block of a sweep"
-#: how the variables of files are compressed
+#: how variables are compressed
 PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+#: share of padding above which they are compressed in a block, too, which is gone once it is merged
+_MUCH_PADDING = 0.25
 #: contact pairs that a rank keeps for its next block
 _MOST_PAIRS = 16
 
@@ -265,7 +267,9 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
         failed = int((arrays["status"] == b"failed").sum())
         file.attrs.update(software=SOFTWARE, version=__version__, failed=failed)
         for name, values in arrays.items():
-            file.create_dataset(name, data=values, **PACKED)
+            padded = values.dtype.kind == "f" and np.isnan(values).mean() > _MUCH_PADDING
+            how: dict[str, Any] = PACKED if padded else {"fletcher32": True}
+            file.create_dataset(name, data=values, **how)
             file[name].attrs.update(STORED[name].attributes if name in STORED else {})
 
 

@@ -19,7 +19,7 @@ from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import HISTORIES
 
 #: numbers of histories that step together, of which one has about so many fields, and most of them
-_NUMBERS, _FIELDS, _MOST = 2**21, 32, 2048
+_NUMBERS, _FIELDS, MOST = 2**21, 32, 2048
 #: bytes of the stored histories of cases that step together: they are in memory until all have
 #: ended
 _STORED_BYTES = 64e6
@@ -55,7 +55,7 @@ def _side_by_side(cases: Sequence[Case]) -> int:
     n = cases[0].mesh.contact_elements
     matrices = len({young(case) for case in cases if not shares_reference(case)}) > 1
     fields = max(_FIELDS, n) if matrices else _FIELDS
-    return min(max(_NUMBERS // (fields * n), 16), _MOST)
+    return min(max(_NUMBERS // (fields * n), 16), MOST)
 
 
 def groups_of(cases: Sequence[Case]) -> list[list[int]]:
