@@ -16,7 +16,7 @@ from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.studies.definition import variations
+from ringwear_par.studies import variations
 
 
 @dataclass(frozen=True)

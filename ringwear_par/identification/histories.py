@@ -32,8 +32,8 @@ from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.stop_signals import StopSignals, name_of
 from ringwear_par.results.result import Result
 from ringwear_par.schedules import Table, in_time
-from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.together import computed
+from ringwear_par.studies.variations import split_key
 
 T = TypeVar("T")
 #: number of steps of a test with constant conditions

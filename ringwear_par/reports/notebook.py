@@ -10,8 +10,8 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import RingwearError
 from ringwear_par.pictures.rig import rig_svg
 from ringwear_par.results.result import Outcome
-from ringwear_par.studies.definition.variations import path_of
 from ringwear_par.studies.study import Study
+from ringwear_par.studies.variations import path_of
 
 _KEY = re.compile(r"\b[a-z]+(?:\[\d\])?(?:\.[a-z_0-9]+(?:\[\d\])?)+")
 #: of texts, whose lines may be longer than a cell is wide

@@ -16,10 +16,10 @@ from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.storage.export import check_tables, titled
 from ringwear_par.results.storage.export import export as export_run
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.end_values import end_value_of
 from ringwear_par.studies.ensemble import RESULTS, Ensemble, join_flags, read_ensemble
 from ringwear_par.studies.stored_variables import entry_label
+from ringwear_par.studies.variations import own_key
 
 _TABLES = (".csv", ".xlsx")
 

@@ -12,7 +12,6 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
-from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.end_values import (
     display_of,
     end_value_of,
@@ -31,6 +30,7 @@ from ringwear_par.studies.pictures.effects import (
 from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.stored_variables import entry_label
 from ringwear_par.studies.surrogate import Indices, done_cases
+from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
 _MOST = 1000

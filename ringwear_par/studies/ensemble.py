@@ -21,7 +21,6 @@ from ringwear_par.results.storage.hdf5 import (
     reading,
 )
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
-from ringwear_par.studies.definition.variations import Variation, path_of, read_variations
 from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
 from ringwear_par.studies.stored_variables import (
     AT_STATES,
@@ -29,6 +28,7 @@ from ringwear_par.studies.stored_variables import (
     OF_CASES,
     over_cases,
 )
+from ringwear_par.studies.variations import Variation, path_of, read_variations
 
 if TYPE_CHECKING:
     import xarray

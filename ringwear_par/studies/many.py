@@ -18,8 +18,8 @@ from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.blocks import pair_of
-from ringwear_par.studies.definition.variations import is_whole
 from ringwear_par.studies.together import computed, most_together
+from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
 

@@ -30,7 +30,6 @@ from ringwear_par.results.variables import (
     edge_elements,
 )
 from ringwear_par.studies.blocks import PACKED, Block, axes_of, opened, put
-from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.end_values import (
     BY_SOURCE,
     END_VALUES,
@@ -41,6 +40,7 @@ from ringwear_par.studies.end_values import (
 from ringwear_par.studies.ensemble import RESULTS, SOFTWARE, TABLE
 from ringwear_par.studies.stored_variables import AXES, OF_CASES, STORED, STRESS, over_cases
 from ringwear_par.studies.study import Study
+from ringwear_par.studies.variations import own_key
 from ringwear_par.version import versions
 
 #: bytes of the cases that are in memory, and of a chunk of a variable in the file

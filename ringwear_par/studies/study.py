@@ -30,8 +30,8 @@ from ringwear_par.errors import Fault, InputError
 from ringwear_par.files.text import read_text, toml_text, toml_value
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.refusals.cases import check_memory, check_mesh
-from ringwear_par.studies.definition.designs import read_draft
-from ringwear_par.studies.definition.variations import (
+from ringwear_par.studies.designs import read_draft
+from ringwear_par.studies.variations import (
     Column,
     path_of,
     split_key,

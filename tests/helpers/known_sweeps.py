@@ -7,10 +7,10 @@ from scipy.stats import qmc
 
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.blocks import FOLDER, Block, write_block
-from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.results_file import merge
 from ringwear_par.studies.study import Study
+from ringwear_par.studies.variations import Column
 
 
 def write(

@@ -15,10 +15,10 @@ from parts import (
     restored,
     simulate_one,
 )
+from ringwear_par.studies.execution import many
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.studies.execution import many
 from ringwear_par.studies.many import simulate_all
 
 KINDS = [rw.FailedResult, rw.Result, rw.FailedResult]

@@ -12,7 +12,7 @@ from swept import write_study
 import ringwear_par as rw
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.study import read_study
-from ringwear_par.studies.definition.variations import Column
+from ringwear_par.studies.variations import Column
 from ringwear_par.studies.definition.varied_columns import CaseColumns
 
 CASE = PAPER.read_text()
