@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +22,8 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.end_values import MAIN_END_VALUES, end_value_of, entries
+from ringwear_par.studies.end_values import end_value_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.stored_variables import AT_STATES
-
-if TYPE_CHECKING:
-    import xarray
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +31,6 @@ log = logging.getLogger(__name__)
 COARSE, USELESS = 0.1, 0.2
 #: seed of all random choices: the same results give the same figure
 SEED = 1
-#: profiles of wear that are responses, and the names of their largest values
-DEPTHS = {"wear_lower": "largest_wear_lower", "wear_upper": "largest_wear_upper"}
 #: most cases that are interpolated, and most that lengths are found from: a response takes some
 #: 0.5 s, and 1e5 points a second are evaluated
 _MOST, _MOST_FITTED = 500, 150
@@ -49,8 +43,8 @@ _NEAR = 0.1
 _LOG_KEY = 20.0
 #: decimals of coordinates to which values of a key count as the same
 _DIGITS = 6
-#: points that are evaluated together, and stored states whose profiles are read together
-_CHUNK, _STATES = 1000, 4000
+#: points that are evaluated together
+_CHUNK = 1000
 #: values along a key, and points over the other keys for the mean at each
 _ALONG, _OTHERS = 41, 256
 #: points of each of the two samples of Sobol' indices: sampling errors are below 0.01
@@ -189,8 +183,6 @@ class Surrogate:
     points: FloatArray
     #: by name
     responses: dict[str, Response]
-    #: number of cases of the study
-    cases: int
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -227,8 +219,7 @@ class Surrogate:
 
         Returns
         -------
-        dict : arrays of the values' common shape, followed by an axis of times or elements where a
-            response has one.
+        dict : arrays of the values' common shape, followed by further axes of a response.
 
         Raises
         ------
@@ -240,8 +231,7 @@ class Surrogate:
             if name not in self.responses:
                 raise InputError(
                     f"surrogate: {legible(str(name))}: unknown response; must be one of "
-                    f"{', '.join(self.names)} (depths and profiles need stored ones, "
-                    'output.profiles = "all" at times)'
+                    f"{', '.join(self.names)}"
                 )
         known = ", ".join(self.ranges)
         for key in {**values, **self.ranges}:
@@ -283,25 +273,16 @@ class Surrogate:
         return self.factors[i].at(shares), values.reshape(len(shares), -1).mean(axis=1)
 
     def __repr__(self) -> str:
-        words = (
-            f"{name} {response.error:.2g} {unit_of(name)} ({share_words(response.relative_error)})"
-            for name, response in self.responses.items()
-            if response.spread
-        )
+        shares = {n: share_words(e) for n, e in self.relative_error.items() if e}
         return (
-            f"<Surrogate of {len(self.points)} of {self.cases} cases over {', '.join(self.ranges)};"
-            f" errors in left-out cases (of the spread): {', '.join(words)}>"
+            f"<Surrogate of {len(self.points)} cases over {', '.join(self.ranges)}; errors in "
+            f"left-out cases, of the spread: {', '.join(f'{n} {e}' for n, e in shares.items())}>"
         )
 
 
 def share_words(relative_error: float) -> str:
     """Return an error in percent of the spread, with a word where it is coarse."""
     return f"{100.0 * relative_error:.2g} %{', coarse' if relative_error > COARSE else ''}"
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a response."""
-    return "mm" if name in {*DEPTHS, *DEPTHS.values()} else end_value_of(name)[0].stored.unit
 
 
 @dataclass(frozen=True)
@@ -338,27 +319,21 @@ def sobol_indices(made: Surrogate, name: str) -> Indices:
 
 
 def surrogate(
-    ensemble: "xarray.Dataset | Ensemble | Path | str",
-    times: Sequence[float] | None = None,
-    names: Sequence[str] | None = None,
+    folder: Ensemble | Path | str,
+    responses: Sequence[str] | Mapping[str, Any] | None = None,
 ) -> Surrogate:
     """Return a surrogate of a sweep's responses over its varied keys. Not collective.
 
-    Responses are ``penetration``, ``worn_volume_lower``, ``worn_volume_upper``, the numbers of
-    layers and of stress that all cases have, at times those that are stored at all steps, and,
-    where profiles are stored, the largest depths of wear ``largest_wear_lower``,
-    ``largest_wear_upper`` and, where all cases have the same contact elements, the profiles
-    ``wear_lower``, ``wear_upper``. At times these four need profiles of all stored steps
-    (``output.profiles = "all"``). Cases that are not done, or have no number for a varied key, are
-    left out; of many, 500 are chosen at random. Ranges are those of each key alone: where keys of a
-    list vary together, errors far from all cases are unknown.
+    Cases that are not done, or have no number for a varied key, are left out; of many, 500 are
+    chosen at random. Ranges are those of each key alone: where keys of a list vary together, errors
+    far from all cases are unknown.
 
     Parameters
     ----------
-    ensemble : the folder of a sweep, its results.h5, or what ``rw.open_ensemble`` returns of it.
-    times : s, of the responses; None for the last step. Between stored states they are on a
-        straight line: ``output.times`` in the base case is better.
-    names : of the responses; None for all.
+    folder : of the sweep, or its results.h5.
+    responses : names of final values; or arrays (cases, ...) by name, such as a profile or values
+        at times of ``rw.open_ensemble(folder)``; None for all final values that all cases have, but
+        for places and numbers that follow from others.
 
     Returns
     -------
@@ -366,26 +341,31 @@ def surrogate(
 
     Raises
     ------
-    InputError : scikit-learn is not installed; too few cases are done, their keys vary together, a
-        time that not all cases have; the folder holds no results.
+    InputError : scikit-learn is not installed; too few cases are done, their keys vary together; a
+        response that cases do not have; the folder holds no results.
     """
     if find_spec("sklearn") is None:
         raise InputError(
             "a surrogate needs scikit-learn, which is not installed: "
             'pip install "ringwear-par[surrogate]"'
         )
-    if not isinstance(ensemble, Ensemble):
-        path = getattr(ensemble, "encoding", {}).get("source", ensemble)
-        ensemble = read_ensemble(Path(path))
+    ensemble = folder if isinstance(folder, Ensemble) else read_ensemble(Path(folder))
     factors, points, cases = _cases(ensemble)
-    values = read_responses(ensemble, cases, times)
-    numbers = sum(not factor.texts for factor in factors)
-    responses = {
-        name: fit_response(points, numbers, name, array)
-        for name, array in values.items()
-        if names is None or name in names
-    }
-    made = Surrogate(factors, points, responses, len(ensemble.ids))
+    final = ensemble.final
+    if responses is None:
+        finite = (n for n, v in final.items() if np.isfinite(v[cases]).all())
+        responses = [name for name in finite if end_value_of(name)[0].smooth]
+    given = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
+    numbers, fitted = sum(not factor.texts for factor in factors), {}
+    for name, values in given.items():
+        array = np.asarray(values, dtype=float)
+        if array.shape[:1] != done_cases(ensemble).shape or not np.isfinite(array[cases]).all():
+            raise InputError(
+                f"surrogate: {legible(str(name))}: must be the name of a final value, or an array "
+                f"({len(ensemble.ids)}, ...), finite in all cases that are done"
+            )
+        fitted[name] = fit_response(points, numbers, name, array[cases])
+    made = Surrogate(factors, points, fitted)
     coarse = [f"{n} {share_words(e)}" for n, e in made.relative_error.items() if e > COARSE]
     if coarse:
         log.warning(
@@ -409,8 +389,7 @@ def chosen_cases(cases: IntArray, most: int) -> IntArray:
 
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:
     """Return what varies, numbers first, the points of the cases to be interpolated, the cases."""
-    rows = done_cases(ensemble) & (ensemble.steps_stored > 1)
-    rows &= np.isfinite([ensemble.final[name] for name in MAIN_END_VALUES]).all(axis=0)
+    rows = done_cases(ensemble)
     numbers = {n: v for n, v in ensemble.varied.items() if v.dtype.kind == "f"}
     for values in numbers.values():
         rows &= np.isfinite(values) | ~np.isfinite(values[rows]).any()
@@ -514,54 +493,3 @@ def _measured(response: Response, numbers: FloatArray, flat: FloatArray) -> Resp
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def read_responses(
-    ensemble: Ensemble, cases: IntArray, times: Sequence[float] | None
-) -> dict[str, FloatArray]:
-    """Return values (cases, ...) of the responses that all the cases have, finite ones."""
-    values: dict[str, FloatArray] = {}
-    if times is None:
-        values |= {name: final[cases] for name, final in ensemble.final.items()}
-    else:
-        for end_value in dict.fromkeys(end_value_of(name)[0] for name in ensemble.final):
-            if end_value.source in AT_STATES:
-                table = ensemble.histories(end_value.source, cases)
-                values |= entries(end_value, _at_times(ensemble, cases, table, times))
-    values = {n: v for n, v in values.items() if end_value_of(n)[0].smooth and np.isfinite(v).all()}
-    middles = ensemble.profiles("r", cases)
-    same = middles is not None and np.ptp(middles, axis=0).max() <= 1e-9
-    parts = np.array_split(cases, 1 + len(cases) * int(ensemble.steps_stored.max()) // _STATES)
-    for name, largest in DEPTHS.items():
-        tables = []
-        for part in parts:
-            profiles = ensemble.profiles(name, part)
-            if profiles is not None and profiles.ndim == 3:
-                tables.append(_at_times(ensemble, part, profiles, times))
-            elif profiles is not None and times is None:
-                tables.append(profiles)
-        wear = np.concatenate(tables or [np.full((1, 1), np.nan)])
-        if np.isfinite(wear).any(axis=-1).all():
-            values[largest] = np.nanmax(wear, axis=-1)
-            if same and np.isfinite(wear).all():
-                values[name] = wear
-    return values
-
-
-def _at_times(
-    ensemble: Ensemble, cases: IntArray, table: FloatArray, times: Sequence[float] | None
-) -> FloatArray:
-    """Return values (cases, times, ...) of a table (cases, steps, ...), or the last ones (None)."""
-    last = ensemble.steps_stored[cases] - 1
-    if times is None:
-        return table[np.arange(len(cases)), last]
-    at, instants = np.array(times, dtype=float), ensemble.histories("time", cases)
-    end = float(instants[np.arange(len(cases)), last].min())
-    if not len(at) or not ((at >= 0.0) & (at <= end * (1.0 + 1e-9))).all():
-        raise InputError(f"times = {list(times)}: must be from 0 to {end:.9g} s, where a case ends")
-    flat = table.reshape(*table.shape[:2], -1)
-    rows = [
-        [np.interp(at, time[: n + 1], column[: n + 1]) for column in case.T]
-        for time, case, n in zip(instants, flat, last.tolist(), strict=True)
-    ]
-    return np.moveaxis(np.array(rows), 1, 2).reshape(len(cases), len(at), *table.shape[2:])

@@ -1,11 +1,11 @@
 """Final values of a sweep against each key, and how much each key matters, as panels.
 
 Two rules: in a grid, a curve for each combination of the other keys, where these are few; in any
-other case a point for each case and the surrogate's mean over the other keys, or medians of the
-cases where there is no good surrogate.
+other case a point for each case, and the surrogate's mean over the other keys where it is good.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +35,6 @@ from ringwear_par.studies.surrogate import (
 _MOST_KEYS, _MOST_CURVES, _MOST_POINTS = 8, 8, 1000
 #: largest over smallest value above which an axis is logarithmic: of values, of keys
 LOG_VALUE, _LOG_KEY = 100.0, 20.0
-#: most values of a key with a median each, and number of classes where there are more
-_MOST_LEVELS, _CLASSES = 12, 10
 #: pixels of a point times the square root of the number of points
 _SIZE = 64.0
 #: distance from the place of a category over which its cases are spread
@@ -141,21 +139,18 @@ class Choice:
         """Return what is to be said of the panels, in sentences."""
         remarks = []
         if self.surrogate is not None:
-            errors = self.surrogate.relative_error
-            listed = "; ".join(
-                f"{display_of(name).name} {share_words(errors[name])}"
-                + (" (not drawn)" if errors[name] > USELESS else "")
-                for name in self.outputs
-                if errors.get(name)
+            shares = {n: e for n, e in self.surrogate.relative_error.items() if e}
+            words = (
+                f"{display_of(name).name} {share_words(error)}"
+                + (", not drawn" if error > USELESS else "")
+                for name, error in shares.items()
             )
-            remarks = [
-                f"surrogate of {len(self.surrogate.points)} cases; keys vary evenly over their "
-                f"ranges; errors in left-out cases, of the spread: {listed}"
-            ] * bool(listed)
-        if len(self.pointed) < len(self.cases):
             remarks.append(
-                f"points: {len(self.pointed)} of {len(self.cases)} cases, chosen at random"
+                f"surrogate of {len(self.surrogate.points)} cases; keys vary evenly over their "
+                f"ranges; errors in left-out cases, of the spread: {'; '.join(words)}"
             )
+        if len(self.pointed) < len(self.cases):
+            remarks.append(f"{len(self.pointed)} of {len(self.cases)} cases have points, by chance")
         return remarks
 
 
@@ -171,7 +166,7 @@ def choose(ensemble: Ensemble) -> Choice:
     varied = [key for key in varied if key.differs] or varied
     made, absence = None, ""
     try:
-        made = surrogate(ensemble, names=outputs)
+        made = surrogate(ensemble, outputs)
     except InputError as error:
         absence = str(error)
     indices: list[Indices] = []
@@ -212,103 +207,71 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Key, output: str) -> Panel:
     display = display_of(output)
     label = f"final {display.label}" if output == "penetration" else display.label
     values = display.factor * ensemble.final[output][choice.cases]
-    curves = _curves(choice, key, values) if choice.grid else []
-    bands: list[Band] = []
-    points: list[Points] = []
-    legend = ""
-    if curves:
-        others = [other for other in choice.varied if other is not key and other.differs]
-        legend = ",\n".join(other.label for other in others)
-    else:
-        points.append(_points(choice, key, values))
-        response = None if choice.surrogate is None else choice.surrogate.responses.get(output)
-        if response is not None and 0.0 < response.relative_error <= USELESS:
-            assert choice.surrogate is not None
-            along, mean = choice.surrogate.mean_along(key.name, output)
-            low, high = (display.factor * response.shifted(mean, by) for by in (-2.0, 2.0))
-            mean, name = display.factor * mean, "surrogate, mean over the other keys"
-            if key.categories:
-                places = np.array([float(key.texts.index(text)) for text in along])
-                width = np.stack([mean - low, high - mean])
-                points.append(
-                    Points(places, mean, name, COLOURS[0], 20.0, marker="level", errors=width)
-                )
-            else:
-                along, interval = (
-                    along / key.scale,
-                    "\N{PLUS-MINUS SIGN} 2 errors in left-out cases",
-                )
-                ends = f"{interval}, from", f"{interval}, to"
-                bands.append(Band(along, low, high, interval, ends, COLOURS[1], 0.5))
-                curves = [Curve(along, mean, name, COLOURS[0])]
-        else:
-            x, middle = _medians(key, values)
-            if key.categories:
-                points.append(Points(x, middle, "median", COLOURS[0], 20.0, marker="level"))
-            else:
-                curves = [Curve(x, middle, "median", COLOURS[0], marked=True)]
-    drawn = [*(c.y for c in curves), *(p.y for p in points), *(b.low for b in bands)]
-    drawn += [band.high for band in bands]
-    return Panel(
-        Axis(key.label, log=key.logarithmic, categories=key.categories),
-        _value_axis(label, values, np.concatenate(drawn)), f"{label} over {key.label}",
-        curves=curves, bands=bands, points=points, legend=legend,
-    )  # fmt: skip
-
-
-def _curves(choice: Choice, key: Key, values: FloatArray) -> list[Curve]:
-    """Return a curve for each combination of the other keys; none of many."""
     others = [other for other in choice.varied if other is not key and other.differs]
-    words = list(zip(*(other.words() for other in others), strict=True))
+    curves = _curves(key, others, values) if choice.grid else []
+    axes = (
+        Axis(key.label, log=key.logarithmic, categories=key.categories), _value_axis(label, values),
+    )  # fmt: skip
+    title = f"{label} over {key.label}"
+    if curves:
+        legend = ",\n".join(other.label for other in others)
+        return Panel(*axes, title, curves=curves, legend=legend)
+    points, bands = [_points(key, values, choice.pointed)], []
+    made = choice.surrogate
+    if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= USELESS:
+        along, mean = made.mean_along(key.name, output)
+        shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
+        low, mean, high = (display.factor * each for each in shifted)
+        name = "surrogate, mean over the other keys"
+        interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
+        if key.categories:
+            width = np.stack([mean - low, high - mean])
+            places = np.array([float(key.texts.index(text)) for text in along])
+            points.append(
+                Points(places, mean, name, COLOURS[0], 20.0, marker="level", errors=width)
+            )
+        else:
+            along, ends = along / key.scale, (f"{interval}, from", f"{interval}, to")
+            bands = [Band(along, low, high, interval, ends, COLOURS[1], 0.5)]
+            curves = [Curve(along, mean, name, COLOURS[0])]
+    return Panel(*axes, title, curves=curves, bands=bands, points=points)
+
+
+def _curves(key: Key, others: Sequence[Key], values: FloatArray) -> list[Curve]:
+    """Return a curve for each combination of the other keys; none of many."""
+    words = zip(*(other.words() for other in others), strict=True)
     names = [", ".join(row) for row in words] or ["cases"] * len(values)
     known = np.flatnonzero(np.isfinite(key.values))
-    rows: dict[str, list[int]] = {}
-    for row in known[np.argsort(key.values[known], kind="stable")].tolist():
-        rows.setdefault(names[row], []).append(row)
+    rows: dict[str, list[int]] = {names[row]: [] for row in known}
+    for row in known[np.argsort(key.values[known], kind="stable")]:
+        rows[names[row]].append(row)
     if len(rows) > _MOST_CURVES:
         return []
     return [
-        Curve(
-            key.values[rows[name]], values[rows[name]], name, COLOURS[i % len(COLOURS)], i,
-            marked=True,
-        )
-        for i, name in enumerate(dict.fromkeys(name for name in names if name in rows))
-    ]  # fmt: skip
+        Curve(key.values[row], values[row], name, COLOURS[i % len(COLOURS)], i, marked=True)
+        for i, (name, row) in enumerate(rows.items())
+    ]
 
 
-def _points(choice: Choice, key: Key, values: FloatArray) -> Points:
-    """Return a point for each case, or for some of many."""
-    rows = choice.pointed
-    x = key.values[rows]
+def _points(key: Key, values: FloatArray, rows: IntArray) -> Points:
+    """Return a point for each of some cases."""
+    x, size = key.values[rows], float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
     if key.categories:
         x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
-    size = float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
     known = np.isfinite(x)
     return Points(x[known], values[rows][known], "cases", GREY, size)
 
 
-def _medians(key: Key, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return values of a key, and the median of the cases at each, or of classes of many."""
-    known = np.flatnonzero(np.isfinite(key.values) & np.isfinite(values))
-    order = known[np.argsort(key.values[known], kind="stable")]
-    levels, starts = np.unique(key.values[order], return_index=True)
-    parts = np.split(order, starts[1:]) if len(levels) <= _MOST_LEVELS else []
-    parts = parts or np.array_split(order, _CLASSES)
-    medians = [(np.median(key.values[part]), np.median(values[part])) for part in parts]
-    return np.array(medians)[:, 0], np.array(medians)[:, 1]
-
-
-def _value_axis(label: str, values: FloatArray, drawn: FloatArray) -> Axis:
+def _value_axis(label: str, values: FloatArray) -> Axis:
     """Return the axis of an output: logarithmic, or wider than round-off."""
-    if spans(values, LOG_VALUE):
-        ends = 0.5 * float(np.nanmin(values)), 2.0 * float(np.nanmax(values))
-        return Axis(label, ends, log=True)
-    drawn = drawn[np.isfinite(drawn)]
-    if not len(drawn):
+    values = values[np.isfinite(values)]
+    if not len(values):
         return Axis(label)
-    low, high = float(drawn.min()), float(drawn.max())
-    wider = _LEAST_SPAN * max(abs(low), abs(high)) - (high - low)
-    return Axis(label, (low - 0.5 * wider, high + 0.5 * wider) if wider > 0.0 else None)
+    low, high = float(values.min()), float(values.max())
+    if spans(values, LOG_VALUE):
+        return Axis(label, (0.5 * low, 2.0 * high), log=True)
+    wider = 0.5 * (_LEAST_SPAN * max(abs(low), abs(high)) - (high - low))
+    return Axis(label, (low - wider, high + wider) if wider > 0.0 else None)
 
 
 def index_panels(choice: Choice) -> dict[str, Panel]:

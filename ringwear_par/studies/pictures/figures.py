@@ -3,7 +3,6 @@
 import logging
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import matplotlib
@@ -64,22 +63,17 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
 
 
 def _grids(ensemble: Ensemble, choice: Choice) -> list[list[list[Panel]]]:
-    """Return the panels of final values in grids, their columns as even as may be.
+    """Return the panels of final values in grids: a column is a key and a row an output.
 
-    A column is a key and a row an output, but for a single key, whose outputs stand in a row.
+    Their columns are as even as may be; the outputs of a single key stand in a row.
     """
     panels = effects(ensemble, choice)
     keys = [key.name for key in choice.keys]
     if len(keys) == 1:
-        return [[[panels[output, keys[0]] for output in choice.outputs]]]
+        return [[[*panels.values()]]]
     columns = -(-len(keys) // -(-len(keys) // _COLUMNS))
-    return [
-        [
-            [panels[output, key] for key in keys[start : start + columns]]
-            for output in choice.outputs
-        ]
-        for start in range(0, len(keys), columns)
-    ]
+    parts = [keys[start : start + columns] for start in range(0, len(keys), columns)]
+    return [[[panels[output, key] for key in part] for output in choice.outputs] for part in parts]
 
 
 def _draw_histories(axes: Any, panel: Panel, cases: int) -> None:
@@ -93,12 +87,12 @@ def _draw_histories(axes: Any, panel: Panel, cases: int) -> None:
 
 def _draw_bars(part: Any, panels: Sequence[Panel]) -> None:
     """Draw bars of indices beside each other, for the same keys."""
-    for axes, panel in zip(part.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+    all_axes = part.subplots(1, len(panels), squeeze=False)[0]
+    for axes, panel in zip(all_axes, panels, strict=True):
         draw(axes, panel, 2)
         axes.grid(axis="x", linewidth=0.4, color="0.85")
         axes.set_axisbelow(True)
-        if panel is not panels[0] and panel.y == panels[0].y:
-            axes.tick_params(labelleft=False)
+        axes.tick_params(labelleft=panel is panels[0])
 
 
 def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None:
@@ -114,7 +108,7 @@ def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None
             if not panel.legend:
                 entries |= legend_entries(axes)
             elif not number:
-                columns = legend_shape(replace(panel, bands=(), points=()), _LEGEND_LETTERS)[0]
+                columns = legend_shape(panel, _LEGEND_LETTERS)[0]
                 set_legend(axes, columns, panel.legend, legend_entries(axes))
             axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
             below = textwrap.fill(axes.get_xlabel(), _LABEL_LETTERS)
