@@ -274,7 +274,7 @@ def test_warnings_are_flags_of_a_sweep(write, tmp_path, comm):
 
 
 def test_texts_of_any_length_and_letters_are_stored(write, tmp_path, comm, monkeypatch):
-    raising(monkeypatch, message="\N{GREEK SMALL LETTER MU}, \"mm\"\n" + 30 * "long ")
+    raising(monkeypatch, message='\N{GREEK SMALL LETTER MU}, "mm"\n' + 30 * "long ")
     with pytest.raises(rw.ComputationError):
         rw.sweep(write(COEFFICIENTS), tmp_path / "out", comm)
     with open_ensemble(tmp_path / "out") as data, (tmp_path / "out/cases.csv").open() as file:
