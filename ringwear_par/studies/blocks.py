@@ -6,11 +6,12 @@ by rename: it is there, whole, or it is not. To go on is to compute the blocks t
 
 Nobody hands blocks out. Every team of ranks walks the list from its own share on; it locks what it
 computes, and the system drops the locks of killed processes. Ranks of one job, jobs, and tasks of
-an array are all the same.
+an array are all the same; each ends when all blocks are there.
 """
 
 import fcntl
 import logging
+import time
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -48,6 +49,8 @@ FILE_KIND = "a block of a sweep"
 PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 #: share of padding above which they are compressed in a block, too, which is gone once it is merged
 _MUCH_PADDING = 0.25
+#: s, between two looks whether others have ended, while they are at work on the last blocks
+_SHORTEST_NAP, _LONGEST_NAP = 0.01, 2.0
 #: contact pairs that a rank keeps for its next block
 _MOST_PAIRS = 16
 
@@ -76,19 +79,20 @@ def blocks_of(study: Study, folder: Path) -> list[Block]:
 
 
 def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Iterator[Block]:
-    """Yield blocks that are not there and that nobody is at work on, until there are none.
+    """Yield blocks that are not there and that nobody is at work on, until all are there.
 
-    Each is locked until the next is asked for. Where the disk has no locks: those of a share.
+    Each is locked until the next is asked for. At the end this waits for those of others, and takes
+    over what a killed process had locked. Where the disk has no locks: the blocks of a share.
 
     Parameters
     ----------
     share, shares : number of this team of ranks, and how many there are.
     """
     first = len(blocks) * share // shares
-    in_turn, again = [*blocks[first:], *blocks[:first]], True
-    while again:  # once more, for blocks of processes that were killed meanwhile
-        again = False
-        for block in in_turn:
+    left, nap = [*blocks[first:], *blocks[:first]], _SHORTEST_NAP
+    while left:
+        at_work = []
+        for block in left:
             if block.path.exists():
                 continue
             try:
@@ -99,18 +103,22 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Iterator[Bl
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
+                    at_work.append(block)
                     continue
                 except OSError:
                     log.warning("%s: has no locks; each rank computes its share", lock.name)
-                    Path(lock.name).unlink(missing_ok=True)
                     yield from (b for b in blocks[share::shares] if not b.path.exists())
                     return
                 try:
                     if not block.path.exists():
-                        again = True
+                        nap = _SHORTEST_NAP
                         yield block
                 finally:
                     Path(lock.name).unlink(missing_ok=True)
+        left = at_work
+        if left:
+            time.sleep(nap)
+            nap = min(2.0 * nap, _LONGEST_NAP)
 
 
 # -- a block is computed -----------------------------------------------------------------------

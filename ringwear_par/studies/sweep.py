@@ -1,14 +1,16 @@
 """``ringwear sweep``: every case of a study, on all ranks, in blocks that are never lost.
 
 What happens, see ``blocks``: the study is cut into blocks; each team of ranks computes those that
-are free, and stores each by rename; who finds all of them there merges them into ``results.h5`` and
-``cases.csv``. Killed, stopped or started several times at once, the same command goes on.
+are free, and stores each by rename; once all are there one process merges them into ``results.h5``
+and ``cases.csv``. Killed, stopped or started several times at once, the same command goes on.
 """
 
+import fcntl
 import logging
 import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -49,8 +51,6 @@ from ringwear_par.version import __version__
 log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
-#: s, between two looks of a rank whether the others have ended: it leaves them its core
-_NAP_SECONDS = 0.01
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def sweep(
     Raises
     ------
     InputError : the study, the folder or the numbers, before any work.
-    ComputationError : cases failed, other processes are still at work, or the disk.
+    ComputationError : cases failed, or the disk.
 
     Examples
     --------
@@ -242,9 +242,6 @@ class _Sweep:
                 progress.show(there, text, there, len(self._blocks), duration(left))
         if progress is not None:
             progress.close()
-        everybody = comm.Ibarrier()
-        while not everybody.Test():
-            time.sleep(_NAP_SECONDS)
         errors = [failure for failure in comm.allgather(error) if failure is not None]
         if errors:
             raise self._incomplete(errors[0])
@@ -261,26 +258,30 @@ class _Sweep:
 
     def _merge(self) -> bool:
         """Merge all blocks; False where one was damaged and is to be computed anew. On rank 0."""
-        if is_merged(self._folder, self._blocks):
-            return True
-        there, count = self._there(), len(self._blocks)
-        if there < count:
-            raise ComputationError(
-                f"{there} of {count} blocks are there, other processes are at work on the rest; "
-                "the same command goes on, and merges them"
-            )
-        try:
-            merge(self._study, self._blocks, self._folder, self._comm.size)
-        except DamagedError as error:
-            log.warning("%s: it is computed anew", error)
-            error.block.path.unlink(missing_ok=True)
-            return False
-        except (OSError, UnreadableError) as error:
-            raise self._incomplete(as_ours(error)) from error
-        if not any(map(has_failed, self._blocks)):  # else --retry-failed needs them
-            done = self._folder / f".{FOLDER}"
-            (self._folder / FOLDER).rename(done)  # in one step, for processes that still look
-            shutil.rmtree(done, ignore_errors=True)
+        blocks, folder = self._blocks, self._folder / FOLDER
+        with ExitStack() as locks:
+            with suppress(OSError):  # another process has merged them, or there are no locks
+                lock = locks.enter_context((folder / "merge.lock").open("w"))
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if is_merged(self._folder, blocks):
+                return True
+            if (there := self._there()) < len(blocks):
+                raise ComputationError(
+                    f"{there} of {len(blocks)} blocks are there, others may be at work on the "
+                    "rest; the same command goes on, and merges them"
+                )
+            try:
+                merge(self._study, blocks, self._folder, self._comm.size)
+            except DamagedError as error:
+                log.warning("%s: it is computed anew", error)
+                error.block.path.unlink(missing_ok=True)
+                return False
+            except (OSError, UnreadableError) as error:
+                raise self._incomplete(as_ours(error)) from error
+            if not any(map(has_failed, blocks)):  # else --retry-failed needs them
+                done = folder.with_name(f".{FOLDER}")
+                folder.rename(done)  # in one step, for processes that still look
+                shutil.rmtree(done, ignore_errors=True)
         return True
 
     def estimate(self) -> str:
