@@ -19,13 +19,12 @@ from ringwear_par.studies.end_values import (
     final_name,
 )
 from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
+from ringwear_par.studies.factors import Factor, raw_words
 from ringwear_par.studies.pictures.effects import (
     Choice,
-    Key,
     choose,
     effects,
     index_panels,
-    raw_words,
 )
 from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.stored_variables import entry_label
@@ -223,7 +222,7 @@ def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
 
 def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:
     """Return a table of some cases."""
-    keys = [Key.of(ensemble, name) for name in ensemble.varied]
+    keys = [Factor.of(ensemble, name) for name in ensemble.varied]
     displays = {name: display_of(name) for name in ensemble.final}
     header = ["case", "status", *(key.label for key in keys)]
     header += [display.label for display in displays.values()]
@@ -236,7 +235,7 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
     rows = []
     for i in tabulated.tolist():
         values = [
-            raw_words(column[i]) if key.categories else _number(key.values[i])
+            raw_words(column[i]) if key.texts else _number(key.values[i] / key.scale)
             for key, column in zip(keys, ensemble.varied.values(), strict=True)
         ]
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]

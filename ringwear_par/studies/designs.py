@@ -4,7 +4,6 @@ import csv
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,25 +54,10 @@ KEYS: tuple[Key, ...] = (
 DESIGN = keys_of_table(KEYS, "design")
 
 
-@dataclass(frozen=True)
-class Draft:
-    """A study whose cases have not been looked at yet."""
-
-    #: what messages call it
-    name: str
-    #: the TOML text of the study
-    text: str
-    #: of the design
-    method: str
-    #: dotted keys and raw values of the base case
-    base: Mapping[str, Any]
-    #: the varied keys, and their raw values in all cases
-    names: tuple[str, ...]
-    columns: tuple[Column, ...]
-
-
-def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
-    """Read a study: its name or its tables; refuse faults but for single cases. Not collective."""
+def read_draft(
+    source: Path | str | Mapping[str, Any],
+) -> tuple[str, str, str, dict[str, Any], tuple[str, ...], tuple[Column, ...]]:
+    """Return the fields of a ``Study``; refuse all faults but those of single cases."""
     name, folder, tables, text = source_tables(source, "study")
     if kinds(tables) == {"case"}:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
@@ -111,7 +95,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         column.mapped(partial(_in_full, key, folder)) if column.numbers is None else column
         for key, column in columns.items()
     )
-    return Draft(name, text, design["method"], base, tuple(columns), complete)
+    return name, text, design["method"], base, tuple(columns), complete
 
 
 def _in_full(name: str, folder: Path, value: Any) -> Any:
@@ -168,10 +152,7 @@ def drawn(
 
 def listed(table: Path) -> dict[str, Column]:
     """Return the columns of a CSV file: a line of case keys, and one line for each case."""
-    try:
-        lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
-    except csv.Error as error:
-        raise InputError(f"{table}: is not a table of comma-separated values: {error}") from error
+    lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
     if len(lines) < 2:
         raise InputError(f"{table}: has no cases; must be a line of case keys and one line a case")
     names = [cell.strip() for cell in lines[0]]

@@ -330,8 +330,7 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
     >>> len(study)
     45
     """
-    draft = read_draft(source)
-    study = Study(draft.name, draft.text, draft.method, draft.base, draft.names, draft.columns)
+    study = Study(*read_draft(source))
     _check(study, ranks_per_case)
     return study
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results.variables import LAYER_HISTORIES
 from ringwear_par.studies.end_values import end_value_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.factors import Factor
 
 log = logging.getLogger(__name__)
 
@@ -37,10 +37,6 @@ _MOST, _MOST_FITTED = 500, 150
 #: share that errors at a left-out value of a key count: the gap there is twice as wide as in the
 #: design, and where a response has kinks errors grow with the width
 _GAP = 0.5
-#: ends of a key's range in the study count as covered with a case so near, as a part of the range
-_NEAR = 0.1
-#: keys without a range in the study go by their logarithm if uneven values span so large a ratio
-_LOG_KEY = 20.0
 #: decimals of coordinates to which values of a key count as the same
 _DIGITS = 6
 #: points that are evaluated together
@@ -56,75 +52,6 @@ _FORMS: dict[str, tuple[Any, Any]] = {
     "square root": (np.sqrt, lambda table: np.square(np.maximum(table, 0.0))),
     "logarithm": (np.log, lambda table: np.exp(np.minimum(table, 700.0))),
 }
-
-
-@dataclass(frozen=True)
-class Factor:
-    """A varied key: one coordinate from 0 to 1, or one that is 0 or 1 for each of its texts."""
-
-    #: of the key
-    name: str
-    #: the range of a number, and whether it goes by its logarithm
-    low: float = 0.0
-    high: float = 0.0
-    logarithmic: bool = False
-    #: the texts of a key that is no number
-    texts: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, ensemble: Ensemble, name: str, cases: IntArray) -> "Factor":
-        """Return a varied key of some cases, with the study's range and spacing if it has one."""
-        values = ensemble.varied[name][cases]
-        if values.dtype.kind != "f":
-            return cls(name, texts=tuple(dict.fromkeys(map(str, values))))
-        low, high = float(values.min()), float(values.max())
-        uneven = bool(np.median(values) < 0.3 * (low + high) and high > _LOG_KEY * low)
-        by_log, ends = ensemble.spacings.get(name, (uneven, (low, high)))
-        covered = cls(name, low, high, by_log and low > 0.0)
-        first, last = covered.coordinates(np.array(ends))[:, 0] if high > low else (0.0, 1.0)
-        return replace(
-            covered, low=ends[0] if -_NEAR <= first <= 0.0 else low,
-            high=ends[1] if 1.0 <= last <= 1.0 + _NEAR else high,
-        )  # fmt: skip
-
-    def coordinates(self, values: Any) -> FloatArray:
-        """Return coordinates (values, 1 or texts) of values."""
-        if self.texts:
-            return np.array([[float(value == text) for text in self.texts] for value in values])
-        if self.logarithmic:
-            return np.log(values[:, None] / self.low) / math.log(self.high / self.low)
-        return (values[:, None] - self.low) / (self.high - self.low)
-
-    def at(self, shares: FloatArray) -> Any:
-        """Return values at shares from 0 to 1 of the range, or of the list of texts."""
-        if self.texts:
-            return [self.texts[int(share * len(self.texts))] for share in shares]
-        if self.logarithmic:
-            return self.low * (self.high / self.low) ** shares
-        return self.low + (self.high - self.low) * shares
-
-    def read(self, value: Any) -> Any:
-        """Return a value of the key, or an array of them; InputError for what no case has."""
-        if self.texts:
-            text = value if isinstance(value, str) else "" if value is None else toml_value(value)
-            if text not in self.texts:
-                words = ", ".join(map(shortened, self.texts))
-                raise InputError(
-                    f"surrogate: {self.name} = {shortened(text)}: must be one of {words}"
-                )
-            return text
-        words = f"must be from {self.low:.9g} to {self.high:.9g}, as in the study's cases"
-        try:
-            numbers = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"surrogate: {self.name} = {shortened(value)}: {words}") from None
-        slack = 1e-9 * max(abs(self.low), abs(self.high))
-        outside = numbers[~((numbers >= self.low - slack) & (numbers <= self.high + slack))]
-        if outside.size:
-            raise InputError(
-                f"surrogate: {self.name} = {outside.flat[0]:.9g}: {words}; nothing is extrapolated"
-            )
-        return np.clip(numbers, self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -259,7 +186,7 @@ class Surrogate:
         points = self._points([f.at(c) for f, c in zip(self.factors, shares.T, strict=True)])
         return self.responses[name].at(points)[:, 0]
 
-    def mean_along(self, key: str, name: str) -> tuple[Any, FloatArray]:
+    def mean_along(self, key: str, name: str) -> tuple[FloatArray, FloatArray]:
         """Return values of a key, and the mean of a number over the other keys at each."""
         from scipy.stats import qmc  # slow to import
 
@@ -390,19 +317,16 @@ def chosen_cases(cases: IntArray, most: int) -> IntArray:
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:
     """Return what varies, numbers first, the points of the cases to be interpolated, the cases."""
     rows = done_cases(ensemble)
-    numbers = {n: v for n, v in ensemble.varied.items() if v.dtype.kind == "f"}
-    for values in numbers.values():
+    numbers = [values for values in ensemble.varied.values() if values.dtype.kind == "f"]
+    for values in numbers:
         rows &= np.isfinite(values) | ~np.isfinite(values[rows]).any()
     cases = chosen_cases(np.flatnonzero(rows), _MOST)
-    factors = tuple(
-        Factor.of(ensemble, name, cases)
-        for name in (*numbers, *(n for n in ensemble.varied if n not in numbers))
-        if len(np.unique(ensemble.varied[name][cases].astype(str))) > 1
-    )
+    factors = [Factor.of(ensemble, name, cases) for name in ensemble.varied]
+    factors = [factor for factor in factors if factor.differs]
+    factors.sort(key=lambda factor: bool(factor.texts))
     needed = 4 * (1 + sum(max(1, len(factor.texts)) for factor in factors))
-    if len(cases) >= needed and factors:
-        columns = [f.coordinates(ensemble.varied[f.name][cases]) for f in factors]
-        points = np.hstack(columns)
+    if factors and len(cases) >= needed:
+        points = np.hstack([factor.coordinates(factor.values) for factor in factors])
         first = np.sort(np.unique(np.round(points, _DIGITS), axis=0, return_index=True)[1])
         points, cases = points[first], cases[first]
     if not factors or len(cases) < needed or factors[0].texts:
@@ -417,7 +341,7 @@ def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray
             f"{ensemble.path}: {keys} vary together, or nearly so; a surrogate needs cases in "
             "which each varies by itself"
         )
-    return factors, points, cases
+    return tuple(factors), points, cases
 
 
 def fit_response(points: FloatArray, numbers: int, name: str, values: FloatArray) -> Response:

@@ -257,8 +257,9 @@ def read_variations(
     variations = []
     for key, entry in entries.items():
         place, table = f'{name}: vary."{legible(key)}"', key.rpartition(".")[0]
-        if not is_known(key) and table in BY_PATH:  # { normal = [3, 1] }, as nested tables
-            sentence = f'{name}: vary."{table}": {legible(key.removeprefix(table)[1:])}: {_FORMS}'
+        if not is_known(key) and table in BY_PATH:  # a form that is unknown, read as a table
+            words = legible(key.removeprefix(f"{table}."))
+            sentence = f'{name}: vary."{table}": {words}: {_FORMS}'
             faults.append(Fault(sentence, f"vary.{table}", "not_allowed"))
         elif fault := name_fault(place, key, f"vary.{key}"):
             faults.append(fault)

@@ -4,20 +4,19 @@ Two rules: in a grid, a curve for each combination of the other keys, where thes
 other case a point for each case, and the surrogate's mean over the other keys where it is good.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.schema import quantity_label, quantity_name
+from ringwear_par.cases.schema import quantity_name
 from ringwear_par.errors import InputError, counted
-from ringwear_par.files.text import parse_value
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
-from ringwear_par.pictures.style import COLOURS, in_words, number_text
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.studies.end_values import display_of, figure_columns, final_name
 from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.factors import Factor
 from ringwear_par.studies.surrogate import (
     COARSE,
     SEED,
@@ -33,8 +32,8 @@ from ringwear_par.studies.surrogate import (
 
 #: most keys, curves of a panel and cases with a point that are drawn
 _MOST_KEYS, _MOST_CURVES, _MOST_POINTS = 8, 8, 1000
-#: largest over smallest value above which an axis is logarithmic: of values, of keys
-LOG_VALUE, _LOG_KEY = 100.0, 20.0
+#: largest over smallest value above which an axis of values is logarithmic
+LOG_VALUE = 100.0
 #: pixels of a point times the square root of the number of points
 _SIZE = 64.0
 #: distance from the place of a category over which its cases are spread
@@ -51,65 +50,6 @@ def spans(values: FloatArray, ratio: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Key:
-    """A varied key of some cases."""
-
-    #: of the key
-    name: str
-    #: (cases,) numbers in ``unit``, or numbers of categories; NaN where there is none
-    values: FloatArray
-    #: texts of a key that is no number, and these in words
-    texts: tuple[str, ...]
-    categories: tuple[str, ...]
-    #: of the values, "" for none, and how much it is in the case's unit
-    unit: str
-    scale: float
-    #: whether its axis is logarithmic
-    logarithmic: bool
-
-    @classmethod
-    def of(cls, ensemble: Ensemble, name: str, cases: IntArray | slice = slice(None)) -> "Key":
-        """Return a varied key of some cases."""
-        column, (unit, scale) = ensemble.varied[name][cases], ensemble.unit(name)
-        if column.dtype.kind != "f":
-            texts = tuple(dict.fromkeys(map(str, column)))
-            values = np.array([float(texts.index(text)) for text in column])
-            words = [raw_words(text) for text in texts]
-            if len(set(words)) < len(words):
-                words = [f"{word} ({i})" for i, word in enumerate(words, 1)]
-            return cls(name, values, texts, tuple(words), "", 1.0, logarithmic=False)
-        known = column[np.isfinite(column)]
-        by_log = spans(known, _LOG_KEY) and np.median(known) < 0.3 * (known.min() + known.max())
-        by_log = ensemble.spacings.get(name, (by_log,))[0] and spans(known, 1.0)
-        return cls(name, column / scale, (), (), unit, scale, bool(by_log))
-
-    @property
-    def label(self) -> str:
-        """What it is called, with its unit."""
-        return quantity_label(self.name, self.unit)
-
-    @property
-    def differs(self) -> bool:
-        """Whether cases differ in it."""
-        return len(np.unique(self.values)) > 1
-
-    def words(self) -> list[str]:
-        """Return the value in each case, as short as its values stay apart."""
-        if self.categories:
-            return [self.categories[int(number)] for number in self.values]
-        for digits in range(3, 18):
-            words = [number_text(v, digits) if math.isfinite(v) else "none" for v in self.values]
-            if len(set(words)) >= len(np.unique(self.values)):
-                break
-        return words
-
-
-def raw_words(text: str) -> str:
-    """Return a raw value of a key, as studies store it, in few words."""
-    return in_words(parse_value(text)) if text else "none"
-
-
-@dataclass(frozen=True)
 class Choice:
     """What is drawn of a sweep."""
 
@@ -118,8 +58,8 @@ class Choice:
     #: names of final values
     outputs: list[str]
     #: the varied keys, and those of the largest indices, which are drawn
-    varied: list[Key]
-    keys: list[Key]
+    varied: list[Factor]
+    keys: list[Factor]
     #: whether the design is one
     grid: bool
     #: None: there is none, for a reason
@@ -162,7 +102,7 @@ def choose(ensemble: Ensemble) -> Choice:
             f"{ensemble.path}: has no case that is done ({counts}); must have one at least"
         )
     outputs = figure_columns(ensemble.final, cases)
-    varied = [Key.of(ensemble, name, cases) for name in ensemble.varied]
+    varied = [Factor.of(ensemble, name, cases) for name in ensemble.varied]
     varied = [key for key in varied if key.differs] or varied
     made, absence = None, ""
     try:
@@ -202,7 +142,7 @@ def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
     }
 
 
-def _effect(ensemble: Ensemble, choice: Choice, key: Key, output: str) -> Panel:
+def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Panel:
     """Return the panel of an output against a key."""
     display = display_of(output)
     label = f"final {display.label}" if output == "penetration" else display.label
@@ -224,9 +164,10 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Key, output: str) -> Panel:
         low, mean, high = (display.factor * each for each in shifted)
         name = "surrogate, mean over the other keys"
         interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
-        if key.categories:
+        if key.texts:
             width = np.stack([mean - low, high - mean])
-            places = np.array([float(key.texts.index(text)) for text in along])
+            (texts,) = (factor.texts for factor in made.factors if factor.name == key.name)
+            places = np.array([float(key.texts.index(texts[int(number)])) for number in along])
             points.append(
                 Points(places, mean, name, COLOURS[0], 20.0, marker="level", errors=width)
             )
@@ -237,7 +178,7 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Key, output: str) -> Panel:
     return Panel(*axes, title, curves=curves, bands=bands, points=points)
 
 
-def _curves(key: Key, others: Sequence[Key], values: FloatArray) -> list[Curve]:
+def _curves(key: Factor, others: Sequence[Factor], values: FloatArray) -> list[Curve]:
     """Return a curve for each combination of the other keys; none of many."""
     words = zip(*(other.words() for other in others), strict=True)
     names = [", ".join(row) for row in words] or ["cases"] * len(values)
@@ -248,15 +189,22 @@ def _curves(key: Key, others: Sequence[Key], values: FloatArray) -> list[Curve]:
     if len(rows) > _MOST_CURVES:
         return []
     return [
-        Curve(key.values[row], values[row], name, COLOURS[i % len(COLOURS)], i, marked=True)
+        Curve(
+            key.values[row] / key.scale,
+            values[row],
+            name,
+            COLOURS[i % len(COLOURS)],
+            i,
+            marked=True,
+        )
         for i, (name, row) in enumerate(rows.items())
     ]
 
 
-def _points(key: Key, values: FloatArray, rows: IntArray) -> Points:
+def _points(key: Factor, values: FloatArray, rows: IntArray) -> Points:
     """Return a point for each of some cases."""
-    x, size = key.values[rows], float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
-    if key.categories:
+    x, size = key.values[rows] / key.scale, float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
+    if key.texts:
         x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
     known = np.isfinite(x)
     return Points(x[known], values[rows][known], "cases", GREY, size)
