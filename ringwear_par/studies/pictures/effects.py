@@ -207,7 +207,7 @@ def _points(key: Factor, values: FloatArray, rows: IntArray) -> Points:
     if key.texts:
         x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
     known = np.isfinite(x)
-    return Points(x[known], values[rows][known], "cases", GREY, size)
+    return Points(x[known], values[rows][known], "cases", GREY, size, behind=True)
 
 
 def _value_axis(label: str, values: FloatArray) -> Axis:
