@@ -65,6 +65,9 @@ def test_a_power_law_is_met(tmp_path):
     assert answers["worn_volume_lower"] == pytest.approx(7.0 * exact, rel=1e-3)
     assert answers["penetration"] == pytest.approx(exact, rel=1e-3)
     assert made.relative_error["penetration"] < 1e-3
+    at = {"wear.lower.k": [[1e-7], [2e-7]], "load.pressure": [5.0, 6.0, 7.0]}
+    assert made.predict(at)["penetration"].shape == (2, 3)
+    assert made.predict({"wear.lower.k": 1e-7, "load.pressure": 5})["penetration"].shape == ()
 
 
 @pytest.mark.parametrize(("count", "most"), [(64, 0.15), (256, 0.06), (700, 0.03)])
@@ -118,25 +121,15 @@ def test_nothing_else_than_the_cases_is_answered_for(tmp_path):
     written(tmp_path, power)
     made = rw.surrogate(tmp_path)
     at = {"wear.lower.k": 1e-7, "load.pressure": 10.0}
-    for key, value in [
-        ("wear.lower.k", 2e-6), ("wear.lower.k", [1e-7, 1e-9]), ("wear.lower.k", np.nan),
-        ("wear.lower.k", "steel"), ("load.omega", 1.0),
-    ]:  # fmt: skip
-        with pytest.raises(rw.InputError, match=key):
-            made.predict({**at, key: value})
+    for value in (2e-6, [1e-7, 1e-9], np.nan, "steel"):
+        with pytest.raises(rw.InputError, match=r"wear\.lower\.k"):
+            made.predict({**at, "wear.lower.k": value})
+    with pytest.raises(rw.InputError, match=r"load\.omega: is not varied"):
+        made.predict({**at, "load.omega": 1.0})
     with pytest.raises(rw.InputError, match=r"load\.pressure: is missing"):
         made.predict({"wear.lower.k": 1e-7})
     with pytest.raises(rw.InputError, match="torque"):
         made.predict(at, ["torque"])
-
-
-def test_keys_are_broadcast(tmp_path):
-    written(tmp_path, power)
-    made = rw.surrogate(tmp_path)
-    asked = {"wear.lower.k": [[1e-7], [2e-7]], "load.pressure": [5.0, 6.0, 7.0]}
-    exact = 1e3 * np.array([[1e-7], [2e-7]]) * np.array([5, 6, 7]) ** 0.8
-    assert made.predict(asked)["penetration"] == pytest.approx(exact, rel=1e-3)
-    assert made.predict({"wear.lower.k": 1e-7, "load.pressure": 5})["penetration"].shape == ()
 
 
 def test_scales_and_ends_are_those_of_the_design(tmp_path):

@@ -19,14 +19,14 @@ from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, number_text, plain, set_legend
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.pictures.effects import Choice, choose, effects, index_panels
-from ringwear_par.studies.pictures.histories import FEW, histories
+from ringwear_par.studies.pictures.histories import histories
 
 log = logging.getLogger(__name__)
 
 #: most panels in a row: of final values, of indices
 _COLUMNS, _BARS = 4, 3
 #: inches of a panel of final values, of the figure at least, of the histories
-_PANEL, _WIDTH, _TOP = (2.3, 2.1), 7.2, 2.6
+_PANEL, _WIDTH, _TOP = (2.3, 2.1), 7.2, 2.3
 #: inches of a line of a legend, and of a title
 _LEGEND_LINE, _TITLE_LINE = 0.18, 0.15
 #: letters of a line in a title, of a legend above a panel, and of a label along its height
@@ -42,7 +42,8 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
     remarks = [
         plain(line) for text in choice.remarks() for line in textwrap.wrap(text, _TITLE_LETTERS)
     ]
-    heights = [_TOP]
+    over_time = histories(ensemble, choice)
+    heights = [_TOP + _LEGEND_LINE * legend_shape(over_time, _TITLE_LETTERS)[1]]
     heights += [1.3 + 0.3 * len(choice.keys)] * -(-len(bars) // _BARS)
     for number, grid in enumerate(grids):
         lines = max(legend_shape(panel, _LEGEND_LETTERS)[1] for panel in grid[0])
@@ -53,7 +54,7 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
         figure = NotebookFigure(figsize=(width, sum(heights) + 0.3), layout="constrained")
         figure.suptitle(choice.counts, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_histories(parts[0].subplots(), histories(ensemble, choice), len(choice.cases))
+        draw(parts[0].subplots(), over_time, 4)
         for start, part in zip(range(0, len(bars), _BARS), parts[1:], strict=False):
             _draw_bars(part, bars[start : start + _BARS])
         for number, grid in enumerate(grids):
@@ -74,15 +75,6 @@ def _grids(ensemble: Ensemble, choice: Choice) -> list[list[list[Panel]]]:
     columns = -(-len(keys) // -(-len(keys) // _COLUMNS))
     parts = [keys[start : start + columns] for start in range(0, len(keys), columns)]
     return [[[panels[output, key] for key in part] for output in choice.outputs] for part in parts]
-
-
-def _draw_histories(axes: Any, panel: Panel, cases: int) -> None:
-    draw(axes, panel, 4 if cases > FEW else 0)
-    if cases <= FEW and panel.legend:
-        axes.legend(
-            frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=panel.legend,
-            title_fontsize=8.0, ncols=1 if cases <= 8 else 2,
-        )  # fmt: skip
 
 
 def _draw_bars(part: Any, panels: Sequence[Panel]) -> None:

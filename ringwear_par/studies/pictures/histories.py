@@ -14,7 +14,7 @@ from ringwear_par.studies.pictures.effects import LOG_VALUE, Choice, spans
 from ringwear_par.studies.surrogate import chosen_cases
 
 #: most cases that are drawn one by one, and most of which names are the values of so many keys
-FEW, _NAMED_KEYS = 12, 3
+_FEW, _NAMED_KEYS = 12, 3
 #: most cases of which quantiles are drawn, and number of those with a line of their own on top
 _MOST_HISTORIES, _LINES = 1000, 40
 #: common times of a fan
@@ -24,7 +24,7 @@ _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 def histories(ensemble: Ensemble, choice: Choice) -> Panel:
     """Return the penetration over time: a line for each case, or a fan of quantiles."""
-    if len(choice.cases) <= FEW:
+    if len(choice.cases) <= _FEW:
         return _lines(ensemble, choice)
     return _fan(ensemble, choice)
 
