@@ -173,11 +173,8 @@ def compute(
             errors |= dict.fromkeys(numbers, error)
             continue
         parts += [(np.array(numbers)[[*part.numbers]], part) for part in done]
-    arrays = _arrays(cases, parts, errors)
-    good = np.array([isinstance(case, Case) for case in cases])
-    ids = np.array([f"{number:016x}" for number in block.numbers.tolist()], dtype="S16")
-    ids[good] = study.ids(block.numbers[good])
-    return {"case": ids, "number": block.numbers, **arrays}
+    ids = study.ids(block.numbers)
+    return {"case": ids, "number": block.numbers, **_arrays(cases, parts, errors)}
 
 
 def _arrays(

@@ -6,11 +6,10 @@ found when it is made, and fails alone.
 """
 
 import hashlib
-import itertools
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
@@ -23,11 +22,11 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import naming
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
-from ringwear_par.cases.schema import BY_PATH, key_of, unit_under
+from ringwear_par.cases.schema import unit_under
+from ringwear_par.cases.values import is_number
 from ringwear_par.errors import Fault, InputError
-from ringwear_par.files.text import read_text, toml_text, toml_value
+from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.refusals.cases import check_memory, check_mesh
 from ringwear_par.studies.designs import read_draft
@@ -216,90 +215,52 @@ class Study:
 
     # -- names by content --------------------------------------------------------------------------
 
-    def digest(self, numbers: IntArray) -> str:
-        """Return the name of some cases by their content and this version, 16 digits."""
-        content = hashlib.sha256(self._common)
-        for (path, _), column in zip(self._parts, self.columns, strict=True):
-            part = column.part(numbers)
-            if part.values.dtype == object:
-                texts = part.by_case(partial(_raw_content, path))
-                content.update("\0".join(texts).encode())
-            else:
-                content.update(part.values[part.codes].tobytes())
-        return content.hexdigest()[:16]
+    def ids(self, numbers: IntArray) -> Any:
+        """Return the ids of some cases, (len(numbers),) bytes of 16 digits each.
+
+        An id is that of the content of a case, however its numbers are written: of the base case,
+        what varies, its values, and the text of laws that are files.
+        """
+        columns = [
+            column.part(numbers).by_case(partial(_text_of, path))
+            for (path, _), column in zip(self._parts, self.columns, strict=True)
+        ]
+        ids = []
+        for row in map("\0".join, zip(*columns, strict=True)):
+            content = self._common.copy()
+            content.update(row.encode())
+            ids.append(content.hexdigest()[:16])
+        return np.array(ids, dtype="S16")
 
     @cached_property
-    def _common(self) -> bytes:
-        """What all names depend on."""
-        return json.dumps([__version__, _content(self.base), self.names]).encode()
+    def _common(self) -> Any:
+        """The hash of what all cases have."""
+        base = {path: raw for path, raw in self.base.items() if path != "title"}
+        return hashlib.sha256(json.dumps([_content(base), self.names], default=repr).encode())
 
-    def ids(self, numbers: IntArray) -> Any:
-        """Return the ids of some good cases, (len(numbers),) bytes of 16 digits each.
+    def digest(self, numbers: IntArray) -> str:
+        """Return the name of some cases by their contents and this version, 16 digits."""
+        return hashlib.sha256(__version__.encode() + self.ids(numbers).tobytes()).hexdigest()[:16]
 
-        An id is that of the content of a case, whatever study it is in, and however its keys are
-        ordered or its numbers written.
-        """
-        ids = np.zeros(len(numbers), dtype="S16")
-        plain = all(entry is None for _, entry in self._numbers)
-        for places in self._alike(numbers):
-            if not plain:
-                contents = [_content(self.keys(int(numbers[place]))) for place in places]
-                ids[places] = [_digest(content.values()) for content in contents]
-                continue
-            content: dict[str, Any] = dict(_content(self.keys(int(numbers[places[0]]))))
-            for (path, _), i in self._numbers.items():
-                part = self.columns[i].part(numbers[places])
-                content[path] = part.by_case(partial(_number_content, path))
-            texts = (
-                itertools.repeat(text, len(places)) if isinstance(text, str) else text
-                for _, text in sorted(content.items())
-            )
-            ids[places] = list(map(_digest, zip(*texts, strict=True)))
-        return ids
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields, for other ranks."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def _digest(pairs: Iterable[str]) -> str:
-    """Return the id of JSON pairs, "" for none."""
-    return hashlib.sha256(f"{{{', '.join(filter(None, pairs))}}}".encode()).hexdigest()[:16]
+def _text_of(path: str, raw: Any) -> str:
+    """Return the content of a key as a text."""
+    return repr(raw) if type(raw) is float else json.dumps(_content(raw, path), default=repr)
 
 
-def _content(keys: Mapping[str, Any]) -> dict[str, str]:
-    """Return the JSON pair of each key of a case that its results depend on, sorted.
-
-    Of the file of a law what it says, not where it is.
-    """
-    pairs: dict[str, str] = {}
-    for path in sorted(keys.keys() - {"title"}):
-        raw, key = keys[path], BY_PATH[path]
-        if _is_law_file(path):
-            pairs[path] = _pair(path, read_text(Path(raw)))
-        elif path in LAYERS:
-            for entry, value in sorted((entries_of(raw) or {}).items()):
-                entry_key = key_of(f"{path}{entry}")
-                assert entry_key is not None
-                if (value := entry_key.read(value)) != entry_key.default:
-                    pairs[f"{path}{entry}"] = _pair(f"{path}{entry}", value)
-        elif (value := key.read(raw)) != key.default:
-            pairs[path] = _pair(path, value)
-    return pairs
-
-
-def _is_law_file(path: str) -> bool:
-    return path.startswith("wear.") and path.endswith(".file")
-
-
-def _pair(path: str, value: Any) -> str:
-    return f"{json.dumps(path)}: {json.dumps(value, default=repr)}"
-
-
-def _number_content(path: str, raw: Any) -> str:
-    """Return the JSON pair of a number, "" for the default of its key."""
-    value = float(raw)
-    return "" if value == BY_PATH[path].default else _pair(path, value)
-
-
-def _raw_content(path: str, raw: Any) -> str:
-    return read_text(Path(raw)) if _is_law_file(path) and raw is not None else toml_value(raw)
+def _content(raw: Any, path: str = "") -> Any:
+    """Return a raw value as JSON has it, of the file of a law what it says."""
+    if isinstance(raw, Mapping):
+        return {name: _content(value, name) for name, value in sorted(raw.items())}
+    if isinstance(raw, list | tuple):
+        return [_content(value) for value in raw]
+    if isinstance(raw, str) and path.rpartition(".")[2] == "file":
+        return read_text(Path(raw))
+    return float(raw) if is_number(raw) else raw
 
 
 # -- reading -----------------------------------------------------------------------------------

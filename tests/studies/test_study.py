@@ -101,9 +101,8 @@ def test_cases_are_those_of_their_keys(name):
         assert case == study.case(n) == make_case(study.keys(n), "")
         again = rw.read_case(CASES / f"{stem}.toml", dict(zip(keys, row, strict=True)))
         assert parse_case(study.case(n).text, "") == parse_case(again.text, "")
-        alone = {"case": CASES / f"{stem}.toml", "vary": {k: {"values": [v]} for k, v in
-                 zip(keys, row, strict=True)}}  # fmt: skip
-        assert ids(read_study(alone)) == [name_of]
+        vary = {key: {"values": [value]} for key, value in zip(keys, row, strict=True)}
+        assert ids(read_study({"case": CASES / f"{stem}.toml", "vary": vary})) == [name_of]
     assert len(set(ids(study))) == len(study)
 
 
@@ -163,24 +162,16 @@ def test_schemes_vary_and_each_has_the_keys_that_it_knows(write):
     assert "time.tolerance" not in study.keys(0)
 
 
-def test_ids_follow_content_and_do_not_change():
-    """Of the title, of how numbers are written, and of what varies in a study none depends."""
-    base = {
-        "contact.friction": 0.1, "load.omega": 3.541666666666667, "load.pressure": 50.0,
-        "lower.poisson": 0.3, "lower.r": [20.0, 40.0], "lower.young": 10000.0,
-        "lower.z": [0.0, 20.0], "mesh.contact_elements": 32, "time.scheme": "implicit",
-        "time.step": 1.0, "time.steps": 40, "upper.poisson": 0.3, "upper.r": [28.5, 31.5],
-        "upper.young": 100000.0, "upper.z": [20.0, 40.0], "wear.lower.k": 1e-07,
-        "wear.lower.law": "threshold", "wear.lower.p0": 40.0,
-    }  # fmt: skip
-
-    def id_of(keys, key, value):
-        return ids(read_study({"case": keys, "vary": {key: {"values": [value]}}}))[0].decode()
-
-    assert id_of(base, "load.pressure", 50.0) == "6bd491c1c9c4b1e1"
-    same = {**dict(reversed(base.items())), "load.pressure": 50, "title": "x"}
-    assert id_of(same, "upper.r", [28.5, 31.5]) == "6bd491c1c9c4b1e1"
-    assert id_of(base, "load.pressure", 51) != "6bd491c1c9c4b1e1"
+def test_ids_follow_content(write):
+    """Neither the title nor how numbers are written."""
+    vary = '[vary]\n"load.pressure" = { values = [%s] }\n'
+    one = ids(read_study(write(vary % "50, 60")))
+    assert len(set(one)) == 2
+    titled = CASE.replace('title = "', 'title = "Other: ')
+    assert titled != CASE
+    assert ids(read_study(write(vary % '"50 MPa", 6e1', titled))) == one
+    assert not set(one) & set(ids(read_study(write(vary % "51, 61"))))
+    assert not set(one) & set(ids(read_study(write(vary % "50, 60", CASE.replace("0.3", "0.31")))))
 
 
 def test_cases_of_a_contact_pair_follow_each_other(write):
