@@ -27,12 +27,12 @@ from ringwear_par.studies.factors import Factor
 
 log = logging.getLogger(__name__)
 
-#: errors above these parts of a response's spread: coarse, and not drawn
-COARSE, USELESS = 0.1, 0.2
+#: largest error of a good surrogate, as a part of the response's spread: others are not drawn
+GOOD = 0.1
 #: seed of all random choices: the same results give the same figure
 SEED = 1
 #: most cases that are interpolated, and most that lengths are found from: a response takes some
-#: 0.5 s, and 1e5 points a second are evaluated
+#: 0.5 s, and 5e4 points a second are evaluated at least
 _MOST, _MOST_FITTED = 500, 150
 #: share that errors at a left-out value of a key count: the gap there is twice as wide as in the
 #: design, and where a response has kinks errors grow with the width
@@ -127,6 +127,11 @@ class Surrogate:
         return {name: response.relative_error for name, response in self.responses.items()}
 
     @property
+    def good(self) -> list[str]:
+        """Names of the responses that vary and have small errors."""
+        return [name for name, error in self.relative_error.items() if 0.0 < error <= GOOD]
+
+    @property
     def ranges(self) -> dict[str, tuple[Any, ...]]:
         """Lowest and highest value of each varied key; all values of one that is a text."""
         return {factor.name: factor.texts or (factor.low, factor.high) for factor in self.factors}
@@ -208,8 +213,8 @@ class Surrogate:
 
 
 def share_words(relative_error: float) -> str:
-    """Return an error in percent of the spread, with a word where it is coarse."""
-    return f"{100.0 * relative_error:.2g} %{', coarse' if relative_error > COARSE else ''}"
+    """Return an error in percent of the spread."""
+    return f"{100.0 * relative_error:.2g} %"
 
 
 @dataclass(frozen=True)
@@ -293,7 +298,7 @@ def surrogate(
             )
         fitted[name] = fit_response(points, numbers, name, array[cases])
     made = Surrogate(factors, points, fitted)
-    coarse = [f"{n} {share_words(e)}" for n, e in made.relative_error.items() if e > COARSE]
+    coarse = [f"{n} {share_words(e)}" for n, e in made.relative_error.items() if e > GOOD]
     if coarse:
         log.warning(
             "surrogate: errors in left-out cases, of the spread, which more cases would make "

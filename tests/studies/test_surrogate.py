@@ -1,6 +1,7 @@
 """Surrogates: closed forms met, errors that fresh cases confirm, nothing extrapolated."""
 
 import itertools
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -177,6 +178,14 @@ def test_too_few_cases_or_keys_that_do_not_vary_by_themselves(tmp_path, keys, ro
     write(tmp_path, keys, rows, np.arange(len(rows)) + 1.0, "list")
     with pytest.raises(rw.InputError, match=words):
         rw.surrogate(tmp_path)
+
+
+def test_without_scikit_learn_a_sentence_says_how_to_install_it(tmp_path, monkeypatch):
+    ensemble = written(tmp_path, power)
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    with pytest.raises(rw.InputError, match="pip install"):
+        rw.surrogate(tmp_path)
+    assert len(draw_sweep(ensemble).axes) == 1 + 2 * 2
 
 
 def test_sobol_indices_of_the_function_of_ishigami(tmp_path):

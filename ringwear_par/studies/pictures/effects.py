@@ -18,9 +18,8 @@ from ringwear_par.studies.end_values import display_of, figure_columns, final_na
 from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.factors import Factor
 from ringwear_par.studies.surrogate import (
-    COARSE,
+    GOOD,
     SEED,
-    USELESS,
     Indices,
     Surrogate,
     chosen_cases,
@@ -82,7 +81,7 @@ class Choice:
             shares = {n: e for n, e in self.surrogate.relative_error.items() if e}
             words = (
                 f"{display_of(name).name} {share_words(error)}"
-                + (", not drawn" if error > USELESS else "")
+                + (", not drawn" if error > GOOD else "")
                 for name, error in shares.items()
             )
             remarks.append(
@@ -106,14 +105,14 @@ def choose(ensemble: Ensemble) -> Choice:
     varied = [key for key in varied if key.differs] or varied
     made, absence = None, ""
     try:
-        made = surrogate(ensemble, outputs)
+        made = surrogate(
+            ensemble, [name for name in outputs if np.isfinite(ensemble.final[name][cases]).all()]
+        )
     except InputError as error:
         absence = str(error)
     indices: list[Indices] = []
     if made is not None and len(made.factors) > 1:
-        errors = made.relative_error
-        good = [name for name in outputs if 0.0 < errors.get(name, 0.0) <= COARSE]
-        indices = [sobol_indices(made, name) for name in good]
+        indices = [sobol_indices(made, name) for name in made.good]
     weights = {key.name: 0.0 for key in varied}
     for each in indices:
         for name, total in zip(each.keys, each.total.tolist(), strict=True):
@@ -158,7 +157,7 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
         return Panel(*axes, title, curves=curves, legend=legend)
     points, bands = [_points(key, values, choice.pointed)], []
     made = choice.surrogate
-    if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= USELESS:
+    if made is not None and output in made.good:
         along, mean = made.mean_along(key.name, output)
         shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
         low, mean, high = (display.factor * each for each in shifted)
