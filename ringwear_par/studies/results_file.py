@@ -29,7 +29,8 @@ from ringwear_par.results.variables import (
     Variable,
     edge_elements,
 )
-from ringwear_par.studies.blocks import PACKED, Block, axes_of, opened, put
+from ringwear_par.studies.block_files import PACKED, axes_of, opened, put
+from ringwear_par.studies.blocks import Block
 from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.end_values import (
     BY_SOURCE,
@@ -106,7 +107,7 @@ class _Layout:
         """Return the layout by the heads of all blocks; raises as ``merge``."""
         heads: list[tuple[str, Any]] = []
         for block in blocks:
-            with opened(block) as file:
+            with opened(block.path) as file:
                 heads += [(n, np.empty((0, *d.shape[1:]), d.dtype)) for n, d in file.items()]
         axes, sizes = axes_of([(name, head) for name, head in heads if name in STORED])
         sizes = {"step": 1, "element": 1, **sizes, "case": len(study)}
@@ -187,7 +188,7 @@ class _Layout:
             at = np.flatnonzero(self.block[numbers] == number)
             rows = self.row[numbers[at]]
             low, high = int(rows.min()), int(rows.max()) + 1
-            with opened(self.blocks[number]) as file:
+            with opened(self.blocks[number].path) as file:
                 steps = file["steps_stored"][low:high][rows - low]
                 for name, data in file.items():
                     if name in STORED:
