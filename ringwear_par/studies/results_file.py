@@ -44,8 +44,8 @@ from ringwear_par.studies.stored_variables import AXES, OF_CASES, STORED, STRESS
 from ringwear_par.studies.study import Study
 from ringwear_par.version import versions
 
-#: bytes of the cases that are in memory, and of a chunk of a variable in the file
-WINDOW_BYTES, _CHUNK_BYTES = 16e6, 256e3
+#: bytes of the cases that are in memory, and most of them; bytes of a chunk of a variable
+WINDOW_BYTES, _MOST, _CHUNK_BYTES = 16e6, 4096, 256e3
 _ID = Variable("case", ("case",), "1", "case, by its content")
 _STATE = Variable("step", ("step",), "1", "stored state of each case", integer=True)
 #: with which xarray takes bytes for the texts that they are
@@ -143,7 +143,7 @@ class _Layout:
     def window(self) -> int:
         """How many cases to have in memory, a power of 2."""
         size = sum(kind.itemsize * self._of_a_case(v) for v, kind in self.variables.values())
-        return 1 << max(int(WINDOW_BYTES / size).bit_length() - 1, 0)
+        return min(1 << max(int(WINDOW_BYTES / size).bit_length() - 1, 0), _MOST)
 
     def _of_a_case(self, variable: Variable) -> int:
         return math.prod(self.sizes[axis] for axis in variable.dimensions[1:])
