@@ -4,7 +4,6 @@ import logging
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
@@ -91,13 +90,12 @@ def results_of(
     Blocks of cases of one contact pair are computed by the ranks in turn. Cases end alike where
     they share step times (s); paces (2, steps) are factors on the rates of each.
     """
-    results: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
-    for number, checked in enumerate(_checked(cases, comm, derivatives)):
-        if isinstance(checked, FailedResult):
-            results[number] = checked
-        else:
-            groups[checked].append(number)
+    for number, case in enumerate(cases):
+        try:
+            groups[operator_key(case)].append(number)
+        except Exception:  # of a case that is no good; its block says why
+            groups[number].append(number)
     blocks = []
     for numbers in groups.values():
         size = batch or min(most_together(cases[numbers[0]]), _MOST)
@@ -106,53 +104,39 @@ def results_of(
 
     def computed_block(numbers: Sequence[int]) -> list[Result | FailedResult]:
         """Return the results of cases of a contact pair, by this rank alone."""
-        chosen = [cases[number] for number in numbers]
-        found: list[Any] = [None] * len(chosen)
+        found: dict[int, Result | Exception] = {}
+        good: list[int] = []
+        for number in numbers:
+            try:
+                check_derivatives(cases[number], derivatives)
+                check_case(cases[number], 1, "case", known_mesh=bool(good))
+                good.append(number)
+            except Exception as error:
+                found[number] = error
         try:
-            pair = pair_of(chosen[0], pairs, MPI.COMM_SELF)
             parts = computed(
-                chosen, [pair] * len(chosen), results=True, derivatives=derivatives,
-                step_times=None if step_times is None else [step_times] * len(chosen),
-                paces=None if paces is None else [paces[number] for number in numbers],
+                [cases[number] for number in good],
+                [pair_of(cases[number], pairs, MPI.COMM_SELF) for number in good],
+                results=True, derivatives=derivatives,
+                step_times=None if step_times is None else [step_times] * len(good),
+                paces=None if paces is None else [paces[number] for number in good],
             )  # fmt: skip
             for part in parts:
-                for place, result in zip(part.numbers, part.results(), strict=True):
-                    found[place] = result
+                found.update(zip((good[i] for i in part.numbers), part.results(), strict=True))
         except Exception as error:  # the same for all of them
-            found = [error] * len(chosen)
+            found.update(dict.fromkeys(good, error))
         return [
-            _failed(case, result) if isinstance(result, Exception) else result
-            for case, result in zip(chosen, found, strict=True)
+            _failed(cases[number], result) if isinstance(result, Exception) else result
+            for number, result in ((number, found[number]) for number in numbers)
         ]
 
+    results: dict[int, Result | FailedResult] = {}
     with together(comm):  # or the others would wait for its results
         mine = [computed_block(numbers) for numbers in blocks[comm.rank :: comm.size]]
     for i, numbers in enumerate(blocks):  # one by one: all might be too much for a message
         part = mine[i // comm.size] if i % comm.size == comm.rank else None
         results.update(zip(numbers, comm.bcast(part, i % comm.size), strict=True))
     return [results[number] for number in range(len(cases))]
-
-
-def _checked(
-    cases: Sequence[Case], comm: MPI.Comm, derivatives: Sequence[str]
-) -> list[Hashable | FailedResult]:
-    """Return the key of the pair of each case, or the failure of a case that is refused.
-
-    Collective on comm: every rank checks its share.
-    """
-    checked: list[Hashable | FailedResult] = []
-    known: set[Hashable] = set()
-    for case in cases[comm.rank :: comm.size]:
-        try:
-            key = operator_key(case)
-            check_derivatives(case, derivatives)
-            check_case(case, 1, "case", known_mesh=key in known)
-            known.add(key)
-            checked.append(key)
-        except Exception as error:
-            checked.append(_failed(case, error))
-    parts = comm.allgather(checked)
-    return [parts[number % comm.size][number // comm.size] for number in range(len(cases))]
 
 
 def _failed(case: Case, error: Exception) -> FailedResult:

@@ -29,7 +29,8 @@ from ringwear_par.results.variables import (
     Variable,
     edge_elements,
 )
-from ringwear_par.studies.blocks import PACKED, Block, axes_of, opened, put
+from ringwear_par.studies.block_files import PACKED, axes_of, opened, put
+from ringwear_par.studies.blocks import Block
 from ringwear_par.studies.end_values import (
     BY_SOURCE,
     END_VALUES,
@@ -43,8 +44,8 @@ from ringwear_par.studies.study import Study
 from ringwear_par.studies.variations import own_key
 from ringwear_par.version import versions
 
-#: bytes of the cases that are in memory, and of a chunk of a variable in the file
-WINDOW_BYTES, _CHUNK_BYTES = 16e6, 256e3
+#: bytes of the cases that are in memory, and most of them; bytes of a chunk of a variable
+WINDOW_BYTES, _MOST, _CHUNK_BYTES = 16e6, 4096, 256e3
 _ID = Variable("case", ("case",), "1", "case, by its content")
 _STATE = Variable("step", ("step",), "1", "stored state of each case", integer=True)
 #: with which xarray takes bytes for the texts that they are
@@ -106,7 +107,7 @@ class _Layout:
         """Return the layout by the heads of all blocks; raises as ``merge``."""
         heads: list[tuple[str, Any]] = []
         for block in blocks:
-            with opened(block) as file:
+            with opened(block.path) as file:
                 heads += [(n, np.empty((0, *d.shape[1:]), d.dtype)) for n, d in file.items()]
         axes, sizes = axes_of([(name, head) for name, head in heads if name in STORED])
         sizes = {"step": 1, "element": 1, **sizes, "case": len(study)}
@@ -142,7 +143,7 @@ class _Layout:
     def window(self) -> int:
         """How many cases to have in memory, a power of 2."""
         size = sum(kind.itemsize * self._of_a_case(v) for v, kind in self.variables.values())
-        return 1 << max(int(WINDOW_BYTES / size).bit_length() - 1, 0)
+        return min(1 << max(int(WINDOW_BYTES / size).bit_length() - 1, 0), _MOST)
 
     def _of_a_case(self, variable: Variable) -> int:
         return math.prod(self.sizes[axis] for axis in variable.dimensions[1:])
@@ -187,7 +188,7 @@ class _Layout:
             at = np.flatnonzero(self.block[numbers] == number)
             rows = self.row[numbers[at]]
             low, high = int(rows.min()), int(rows.max()) + 1
-            with opened(self.blocks[number]) as file:
+            with opened(self.blocks[number].path) as file:
                 steps = file["steps_stored"][low:high][rows - low]
                 for name, data in file.items():
                     if name in STORED:

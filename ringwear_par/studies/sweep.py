@@ -11,12 +11,11 @@ import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
@@ -26,69 +25,17 @@ from ringwear_par.files.writing import check_writable, unwritable
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import Progress, duration
 from ringwear_par.results.storage.hdf5 import UnreadableError, reading
-from ringwear_par.studies.blocks import (
-    FOLDER,
-    Block,
-    DamagedError,
-    blocks_of,
-    compute,
-    free_blocks,
-    has_failed,
-    write_block,
-)
-from ringwear_par.studies.ensemble import (
-    FILE_KIND,
-    RESULTS,
-    SOFTWARE,
-    TABLE,
-    count_flags,
-    split_flags,
-)
+from ringwear_par.studies.block_files import DamagedError, has_failed, write_block
+from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, compute, free_blocks
+from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE
 from ringwear_par.studies.results_file import fingerprint, merge
 from ringwear_par.studies.study import Study, read_study
+from ringwear_par.studies.summary import Summary, stored_summary
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Summary:
-    """The summary of a sweep; the command prints it as a text."""
-
-    #: of the results
-    folder: Path
-    #: cases of the study, those that are done and that have failed
-    total: int
-    done: int
-    failed: int
-    #: those that this sweep computed
-    computed: int = 0
-    #: wall time, and that of all ranks in blocks, s
-    seconds: float = 0.0
-    busy: float = 0.0
-    ranks: int = 1
-    #: MB, largest memory of a rank
-    peak: float = 0.0
-    #: largest error of balances
-    worst: float = 0.0
-    #: how many cases have the same flags, by these
-    flagged: Mapping[tuple[str, ...], int] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        lines = [f"cases: {self.total}, {self.done} done, {self.failed} failed"]
-        if self.computed:
-            rate = self.computed / self.seconds
-            lines.append(
-                f"{self.computed} computed in {duration(self.seconds)}, ranks: {self.ranks}: "
-                f"{rate:.3g} a second, {100.0 * self.busy / (self.seconds * self.ranks):.0f} % of "
-                f"the time in blocks; peak memory of a rank {self.peak:.0f} MB"
-            )
-        lines.append(f"largest error of balances (force, volume, energy, KKT): {self.worst:.1e}")
-        if self.flagged:
-            lines.append(count_flags(self.flagged))
-        return "\n".join([*lines, f"{self.folder / TABLE}, {self.folder / RESULTS}"])
 
 
 def sweep(
@@ -127,8 +74,7 @@ def sweep(
     """
     comm = MPI.COMM_WORLD if comm is None else comm
     summary = _Sweep(study, Path(folder), comm, ranks_per_case, retry_failed).run()
-    if summary.failed:
-        raise _some_failed(summary)
+    summary.refuse_failures()
     return summary
 
 
@@ -148,15 +94,7 @@ def run_sweep(
         return
     summary = work.run()
     print(summary)
-    if summary.failed:
-        raise _some_failed(summary)
-
-
-def _some_failed(summary: Summary) -> ComputationError:
-    reasons = f"{summary.folder / TABLE} says why of each"
-    error = ComputationError(f"{summary.failed} of {summary.total} cases failed; {reasons}")
-    error.ranks = summary.ranks
-    return error
+    summary.refuse_failures()
 
 
 class _Sweep:
@@ -227,7 +165,7 @@ class _Sweep:
                     break
                 started = time.perf_counter()
                 arrays = compute(self._study, block, pairs, team)
-                on_first_rank(team, partial(write_block, block, arrays))
+                on_first_rank(team, partial(write_block, block.path, arrays))
             except RingwearError as failure:  # of the disk: other ranks go on as long as they can
                 error = failure
                 break
@@ -274,11 +212,13 @@ class _Sweep:
                 merge(self._study, blocks, self._folder, self._comm.size)
             except DamagedError as error:
                 log.warning("%s: it is computed anew", error)
-                error.block.path.unlink(missing_ok=True)
+                error.path.unlink(missing_ok=True)
                 return False
             except (OSError, UnreadableError) as error:
                 raise self._incomplete(as_ours(error)) from error
-            if not any(map(has_failed, blocks)):  # else --retry-failed needs them
+            if not any(
+                map(has_failed, (block.path for block in blocks))
+            ):  # else --retry-failed needs them
                 done = folder.with_name(f".{FOLDER}")
                 folder.rename(done)  # in one step, for processes that still look
                 shutil.rmtree(done, ignore_errors=True)
@@ -323,8 +263,8 @@ def _prepare(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
         whose = "another study" if same else f"version {version} of ringwear-par"
         raise InputError(f"{folder}: holds cases of {whose}; must be a new folder")
     if retry:
-        for block in filter(has_failed, blocks):
-            block.path.unlink()
+        for path in filter(has_failed, [block.path for block in blocks]):
+            path.unlink()
             (folder / RESULTS).unlink(missing_ok=True)
     if is_merged(folder, blocks):
         return
@@ -342,15 +282,3 @@ def is_merged(folder: Path, blocks: Sequence[Block]) -> bool:
             return bool(file.attrs.get("blocks") == fingerprint(blocks))
     except InputError:
         return False
-
-
-def stored_summary(folder: Path) -> Summary:
-    """Return what the results in a folder say of their cases. On one rank."""
-    with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
-        status, flags = file["status"][:], file["flags"][:]
-        worst = float(np.nanmax(file["imbalance"][:], initial=0.0))
-    failed = int((status == b"failed").sum())
-    used, counts = np.unique(flags[flags != b""], return_counts=True)
-    words = zip(used.tolist(), counts.tolist(), strict=True)
-    flagged = {split_flags(text.decode()): n for text, n in words}
-    return Summary(folder, len(status), len(status) - failed, failed, worst=worst, flagged=flagged)

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.blocks import FOLDER, Block, write_block
+from ringwear_par.studies.block_files import write_block
+from ringwear_par.studies.blocks import FOLDER, Block
 from ringwear_par.studies.ensemble import read_ensemble
 from ringwear_par.studies.results_file import merge
 from ringwear_par.studies.study import Study
@@ -39,7 +40,7 @@ def write(
     study = Study("study", "", method, {}, tuple(names), columns)
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     block = Block(folder / FOLDER / "all.h5", study.order)
-    write_block(block, {name: values[study.order] for name, values in arrays.items()})
+    write_block(block.path, {name: values[study.order] for name, values in arrays.items()})
     merge(study, [block], folder, 1)
     return read_ensemble(folder)
 
