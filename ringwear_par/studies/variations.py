@@ -128,14 +128,6 @@ def is_known(name: str) -> bool:
     return path_of(name) in BY_PATH if layer_entry(name) is None else key_of(name) is not None
 
 
-def has_entry(name: str) -> bool:
-    """Tell whether a varied key that names an entry is one of a pair, or of a shape's size."""
-    path, index = split_key(name)
-    if index in ("file", "trace") and path.endswith(".profile"):
-        return False
-    return not isinstance(index, int) or BY_PATH[path].kind == "pair"
-
-
 def name_fault(place: str, name: str, loc: str) -> Fault | None:
     """Return why a key cannot vary, None where it can."""
     if not is_known(name):
@@ -145,8 +137,11 @@ def name_fault(place: str, name: str, loc: str) -> Fault | None:
         return Fault(
             f"{place}: a title makes no other case; must be another key", loc, "not_allowed"
         )
-    if not has_entry(name):
-        sentence = f"{place}: {path_of(name)} has no such entries; must be the key itself"
+    path, index = split_key(name)
+    is_pair = BY_PATH[path].kind == "pair"
+    file = index in ("file", "trace") and path.endswith(".profile")
+    if file or (isinstance(index, int) and not is_pair):
+        sentence = f"{place}: {path} has no such entries; must be the key itself"
         return Fault(sentence, loc, "unknown_key")
     return None
 

@@ -82,17 +82,8 @@ def test_curves_of_a_grid(tmp_path):
     assert (against_p.get_yscale(), volume_p.get_yscale()) == ("linear", "log")
 
 
-def test_other_cases_than_done_ones_are_counted_not_drawn(tmp_path):
-    rows = [(float(n),) for n in range(1, 8)]
-    status = ["done", "failed", "done", "failed", "done", "failed", "failed"]
-    ensemble = write(tmp_path / "a", KEYS[:1], rows, np.arange(7.0) + 1.0, status=status)
-    figure = draw_sweep(ensemble)
-    assert all(words in figure.get_suptitle() for words in ("7 cases", "4 failed"))
-    fan, depth, _ = figure.axes
-    assert [line.get_label() for line in fan.lines] == ["1", "3", "5"]
-    assert list(depth.lines[0].get_xdata()) == [1.0, 3.0, 5.0]
-    assert depth.lines[0].get_ydata() == pytest.approx([1e3, 3e3, 5e3])
-    write(tmp_path / "b", KEYS[:1], rows[:2], [1.0, 1.0], status=["failed", "failed"])
+def test_a_sweep_without_a_case_that_is_done_is_refused(tmp_path):
+    write(tmp_path / "b", KEYS[:1], [(1.0,), (2.0,)], [1.0, 1.0], status=["failed", "failed"])
     with pytest.raises(rw.InputError, match="no case"):
         plot_stored([tmp_path / "b"], tmp_path / "a.png")
     assert not (tmp_path / "a.png").exists()
