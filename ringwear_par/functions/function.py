@@ -259,7 +259,7 @@ class Function:
         """
         from mpi4py import MPI  # starts MPI
 
-        from ringwear_par.studies.execution.many import results_of
+        from ringwear_par.studies.many import results_of
 
         outcomes = list(cases)
         numbers = [n for n, case in enumerate(cases) if isinstance(case, Case)]

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import override, read_keys
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.layers import LAYERS
@@ -16,7 +15,7 @@ from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.studies.definition import variations
+from ringwear_par.studies import variations
 
 
 @dataclass(frozen=True)
@@ -145,13 +144,13 @@ def case_inputs(case: Case, names: Sequence[str], changes: Mapping[str, Any]) ->
 
 def _name_faults(case: Case, keys: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     for place, name in enumerate(names):
-        value = _value(case, keys, name) if variations.is_known(name) else None
-        if not variations.is_known(name):
-            path = variations.path_of(name)
-            yield f"{legible(name)}: {unknown_key(name if path in LAYERS else path)}"
-        elif name in names[:place]:
+        if fault := variations.name_fault(legible(name), name, name):
+            yield fault
+            continue
+        value = _value(case, keys, name)
+        if name in names[:place]:
             yield f"{name}: must be named once"
-        elif value is None or not variations.has_entry(name):
+        elif value is None:
             yield f"{legible(name)}: is not in the case; must be a number of it"
         elif not is_number(value):
             yield f"{name} = {shortened(value)}: must be a number in the case"

@@ -38,7 +38,7 @@ KINDS = {
     "whiskers": ("x0", "y0", "x1", "y1", "colour"),
     "lines": _LINE,
     "dots": ("x", "y", "colour"),
-    "points": ("x", "y", "label", "colour", "fill", "size", "opacity", "marker", "case", "words"),
+    "points": ("x", "y", "label", "colour", "fill", "size", "opacity", "marker", "words"),
     "labels": ("x", "y", "text", "baseline", "align"),
 }
 #: kinds with an entry in the legend, in its order
@@ -229,12 +229,7 @@ def _range(axis: Axis, values: FloatArray) -> list[float]:
 
 def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
     """Return the columns of the sources of all kinds of marks."""
-    marked = [curve for curve in panel.curves if curve.marked and curve.cases is None]
-    case_points = [
-        Points(c.x, c.y, c.legend or c.name, c.colour, cases=c.cases)
-        for c in panel.curves
-        if c.cases is not None
-    ]
+    marked = [curve for curve in panel.curves if curve.marked]
     ends = [curve for band in panel.bands for curve in _ends(band)]
     rows: dict[str, list[tuple[Any, ...]]] = {
         "ribbons": [(*_ribbon(band), band.name, band.colour, band.opacity) for band in panel.bands],
@@ -259,7 +254,7 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
             for curve in marked
             for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)
         ],
-        "points": [row for points in (*case_points, *panel.points) for row in _points(points)],
+        "points": [row for points in panel.points for row in _points(points)],
         "labels": [
             (
                 label.x,
@@ -297,7 +292,7 @@ def _line(curve: Curve) -> tuple[Any, ...]:
     dash = DASHES[curve.dash % len(DASHES)]
     return (
         x.tolist(), y.tolist(), curve.name, curve.legend or curve.name, curve.colour, dash,
-        curve.width, curve.opacity, curve.words, stepped,
+        curve.width, curve.opacity, "", stepped,
     )  # fmt: skip
 
 
@@ -333,15 +328,14 @@ def _whiskers(panel: Panel) -> Iterator[tuple[Any, ...]]:
 
 
 def _points(points: Points) -> Iterator[tuple[Any, ...]]:
-    cases = np.full(len(points.x), -1) if points.cases is None else points.cases
     fill = None if points.hollow or points.marker == "level" else points.colour
     words: Iterator[str] = iter(())
     if points.errors is not None:
         ends = zip(*points.ends, strict=True)
         words = (f"from {low:.4g} to {high:.4g} ({points.probability})" for low, high in ends)
     style = points.size, points.opacity, _MARKERS[points.marker]
-    for x, y, case in zip(points.x.tolist(), points.y.tolist(), cases.tolist(), strict=True):
-        yield x, y, points.name, points.colour, fill, *style, case, next(words, "")
+    for x, y in zip(points.x.tolist(), points.y.tolist(), strict=True):
+        yield x, y, points.name, points.colour, fill, *style, next(words, "")
 
 
 def embedded(plot: Any) -> dict[str, Any]:

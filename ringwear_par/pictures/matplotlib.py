@@ -68,7 +68,7 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
             markeredgewidth=1.0 if points.hollow or points.marker == "level" else 0.0,
             rasterized=len(points.x) > _MANY,
-            zorder=1.5 if points.cases is not None or len(points.x) > _MANY else 2.0,
+            zorder=1.5 if points.behind or len(points.x) > _MANY else 2.0,
         )  # fmt: skip
         if points.errors is not None:
             axes.errorbar(

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.style import COLOURS
 
 GREY = "#8c8c8c"
@@ -50,12 +50,8 @@ class Curve:
     marked: bool = False
     #: whether a table of the panel's numbers has it
     tabulated: bool = True
-    #: at the pointer, before its numbers
-    words: str = ""
     #: the name in the legend, if another one
     legend: str = ""
-    #: (n,) int, of marked points, see ``Points``
-    cases: IntArray | None = None
 
 
 @dataclass(frozen=True)
@@ -106,9 +102,8 @@ class Points:
     errors: FloatArray | None = None
     #: of the truth within a bar
     probability: str = "95 %"
-    #: (n,) int, rows of a list of words that are at the pointer, which panels share, or -1; files
-    #: have such points behind curves
-    cases: IntArray | None = None
+    #: whether files have them behind curves
+    behind: bool = False
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:

@@ -33,7 +33,7 @@ from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
 from ringwear_par.results.result import Result
-from ringwear_par.studies.execution.many import results_of
+from ringwear_par.studies.many import results_of
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult

@@ -126,8 +126,6 @@ class Charts:
     instants: Sequence[str] = ()
     #: where it stands at the beginning
     first: int = 0
-    #: texts shown at the pointer, which points name by their ``cases``
-    points: Sequence[str] = ()
     kind = "charts"
 
 

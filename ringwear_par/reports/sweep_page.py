@@ -1,7 +1,6 @@
 """The page of a sweep."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,21 +12,24 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
-from ringwear_par.studies.analysis.responses import done_cases
-from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
-from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.choice import Choice, Key, choose, raw_words
-from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
-from ringwear_par.studies.pictures.histories import case_words, histories
-from ringwear_par.studies.storage.end_values import (
+from ringwear_par.studies.end_values import (
     display_of,
     end_value_of,
     figure_columns,
     final_name,
 )
-from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.storage.results_file import count_flags
-from ringwear_par.studies.storage.stored_variables import entry_label
+from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
+from ringwear_par.studies.factors import Factor, raw_words
+from ringwear_par.studies.pictures.effects import (
+    Choice,
+    choose,
+    effects,
+    index_panels,
+)
+from ringwear_par.studies.pictures.histories import histories
+from ringwear_par.studies.stored_variables import entry_label
+from ringwear_par.studies.surrogate import Indices, done_cases
+from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
 _MOST = 1000
@@ -47,20 +49,21 @@ def sweep_page(folder: Path) -> page.Page:
     ensemble = read_ensemble(folder)
     sections = [page.Section("Summary", _summary(ensemble))]
     if done_cases(ensemble).any():
-        regressions, indices, absence = surrogate_and_indices(ensemble)
-        choice = choose(ensemble, regressions, indices)
+        choice = choose(ensemble)
         sections.append(page.Section("Histories", [_histories(ensemble, choice)]))
-        sections.append(page.Section("Final values", _effects(ensemble, choice, absence)))
-        absence = "No indices: they need two varied numbers, and a design of enough cases."
-        blocks: list[page.Block] = [_index_charts(indices) if indices else page.Lines([absence])]
-        sections.append(page.Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
+        sections.append(page.Section("Final values", _effects(ensemble, choice)))
+        absence = "No Sobol' indices: they need two varied keys, and a good surrogate."
+        blocks: list[page.Block] = [page.Lines([absence])]
+        if choice.indices:
+            blocks = [_index_charts(choice), *map(_index_table, choice.indices)]
+        sections.append(page.Section("Sensitivity", blocks))
     sections.append(page.Section("Cases", _cases(ensemble)))
     sections.append(_reproduced(ensemble))
     return page.Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
 
 
 def _summary(ensemble: Ensemble) -> list[page.Block]:
-    cases = np.flatnonzero(ensemble.in_study)
+    cases = np.arange(len(ensemble.ids))
     status = Counter(ensemble.status[i] for i in cases)
     flags = Counter(ensemble.flags[i] for i in cases if ensemble.flags[i])
     doubts = [count_flags(flags)] if flags else []
@@ -68,8 +71,6 @@ def _summary(ensemble: Ensemble) -> list[page.Block]:
         doubts.append(
             f"{status['failed']} of {len(cases)} cases failed; the table of cases has why"
         )
-    if status["incomplete"]:
-        doubts.append(f"{status['incomplete']} of {len(cases)} cases are incomplete")
     counts = ", ".join(f"{number} {word}" for word, number in status.most_common())
     method = ensemble.attributes["method"]
     lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
@@ -153,9 +154,9 @@ def _histories(ensemble: Ensemble, choice: Choice) -> page.Charts:
     return page.Charts([page.Chart("histories", panel, label, 440, wide=True)])
 
 
-def _index_charts(indices: Sequence[Indices]) -> page.Charts:
+def _index_charts(choice: Choice) -> page.Charts:
     charts = []
-    for output, panel in index_panels(indices).items():
+    for output, panel in index_panels(choice).items():
         label = f"Bar chart: {panel.title}; the table has the numbers"
         height = 160 + 55 * len(panel.y.categories)
         charts.append(page.Chart(_name("indices", output), panel, label, height))
@@ -167,42 +168,30 @@ def _name(*words: str) -> str:
     return "-".join(words).replace("_", "-").replace(".", "-")
 
 
-def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[page.Block]:
+def _effects(ensemble: Ensemble, choice: Choice) -> list[page.Block]:
     charts = [
-        page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}, a point each case")
+        page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}")
         for names, panel in effects(ensemble, choice).items()
     ]
-    cases = pointed_cases(choice)
-    lines = [f"{choice.counts}: a point each case, named where the pointer is."]
-    if len(cases) < len(choice.cases):
-        lines.append(
-            f"{len(cases)} of {len(choice.cases)} cases are drawn, chosen at random; medians are "
-            "of all."
-        )
-    if choice.responses is not None:
-        lines.append("; ".join(choice.responses.remarks))
-    elif absence:
-        lines.append(f"No surrogate: {absence}")
-    return [page.Lines(lines), page.Charts(charts, points=case_words(ensemble, choice, cases))]
+    lines = [choice.counts, *choice.remarks()]
+    if choice.absence:
+        lines.append(f"No surrogate: {choice.absence}")
+    return [page.Lines(lines), page.Charts(charts)]
 
 
 def _index_table(indices: Indices) -> page.Table:
-    columns = [indices.first, indices.influence]
-    widths = [w for w in (indices.first_width, indices.influence_width) if w is not None]
-    header = ["key", *indices.names]
-    header += ["half-width of the first (95 %)", "of the second"][: len(widths)]
     rows = [
-        (key, *(f"{column[i]:.3f}" for column in (*columns, *widths)))
-        for i, key in enumerate(indices.keys)
+        (key, f"{first:.3f}", f"{total:.3f}")
+        for key, first, total in zip(indices.keys, indices.first, indices.total, strict=True)
     ]
-    source = " ".join(indices.source.split())
-    noise = f"; of a key without influence {indices.noise:.3f}" if indices.noise else ""
-    return page.Table(f"Sensitivity of {final_name(indices.output)}: {source}{noise}", header, rows)
+    header = ("key", "first order: by the key alone", "total: with all others")
+    caption = f"Sobol' indices of the {final_name(indices.output)}, from the surrogate"
+    return page.Table(caption, header, rows)
 
 
 def _cases(ensemble: Ensemble) -> list[page.Block]:
     """Return the worst cases of the study and the first ones, failed ones with why."""
-    cases = np.flatnonzero(ensemble.in_study)
+    cases = np.arange(len(ensemble.ids))
     first = cases[:_MOST]
     caption = f"{len(cases)} cases"
     if len(first) < len(cases):
@@ -211,8 +200,8 @@ def _cases(ensemble: Ensemble) -> list[page.Block]:
     if len(cases) <= _WORST:
         return [every]
     caption = (
-        f"The {_WORST} worst of {len(cases)} cases: those that failed or are incomplete, then "
-        "those with most warnings, then those that penetrate most"
+        f"The {_WORST} worst of {len(cases)} cases: those that failed, then those "
+        "with most warnings, then those that penetrate most"
     )
     worst = _case_table(ensemble, worst_cases(ensemble, cases)[:_WORST], caption)
     return [replace(worst, sortable=False), every]
@@ -233,8 +222,7 @@ def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
 
 def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:
     """Return a table of some cases."""
-    keys = [Key.of(name, column, unit=ensemble.unit(name))
-            for name, column in ensemble.varied.items()]  # fmt: skip
+    keys = [Factor.of(ensemble, name) for name in ensemble.varied]
     displays = {name: display_of(name) for name in ensemble.final}
     header = ["case", "status", *(key.label for key in keys)]
     header += [display.label for display in displays.values()]
@@ -247,7 +235,7 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
     rows = []
     for i in tabulated.tolist():
         values = [
-            raw_words(column[i]) if key.categories else _number(key.values[i])
+            raw_words(column[i]) if key.texts else _number(key.values[i] / key.scale)
             for key, column in zip(keys, ensemble.varied.values(), strict=True)
         ]
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
@@ -263,10 +251,9 @@ def _reproduced(ensemble: Ensemble) -> page.Section:
         "ringwear plot out/study -o study.png\n"
     )
     first = (
-        "Save the study as study.toml beside the case file that it names; the text of a case below "
-        "has all its keys, those that vary with their values of this case. Then type:"
+        "Save the study as study.toml beside the case file that it names, whose keys are below; "
+        "those that vary have their values in the table of cases. Then type:"
     )
     sources = [page.Source("Study", str(about["study"]))]
-    if len(ensemble.ids):
-        sources.append(page.Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
+    sources.append(page.Source("Base case", str(about["case"])))
     return page.reproduced(first, commands, sources, page.stored_versions(about))

@@ -15,7 +15,7 @@ SMALL = {"time.scheme": "adaptive", "mesh.contact_elements": 12}
 
 def run(package, monkeypatch):
     """Run the first block of the page and that of a package; return the names."""
-    pytest.importorskip(package if package == "SALib" else package.lower())
+    pytest.importorskip(package.lower())
     case = rw.read_case(PAPER, SMALL)
     monkeypatch.setattr(rw, "read_case", lambda path, overrides: case)
     names = {"__name__": package}
@@ -43,16 +43,6 @@ def test_emcee(monkeypatch):
     assert np.std(chain[:, 1]) == pytest.approx(2.0, rel=0.5)
     assert np.mean(values["penetration"]) == pytest.approx(9.7e-3, abs=1e-4)
     assert np.std(values["penetration"]) == pytest.approx(2e-4, rel=0.5)
-
-
-def test_salib(monkeypatch):
-    total = run("SALib", monkeypatch)["indices"]["ST"]
-    # the penetration is about k (p - p0), of both variances and their product
-    k, p = np.array([5e-8, 2e-7]), np.array([60.0, 100.0]) - 40.0
-    share = [np.ptp(x) ** 2 / 12.0 / x.mean() ** 2 for x in (k, p)]
-    whole = share[0] + share[1] + share[0] * share[1]
-    exact = [share[0] * (1.0 + share[1]) / whole, share[1] * (1.0 + share[0]) / whole]
-    assert np.allclose(total, exact, atol=0.05)
 
 
 def test_libensemble(monkeypatch, tmp_path):

@@ -19,7 +19,7 @@ from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
-from ringwear_par.studies.definition.variations import split_key, unnested
+from ringwear_par.studies.variations import split_key, unnested
 
 #: other units in which keys may be given, by the unit of the case
 _EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}

@@ -6,14 +6,9 @@ Object.defineProperty(window, "devicePixelRatio", { value: Math.max(2, devicePix
 const sourceOf = (plot, kind) => plot.figure.document.get_model_by_name(`${plot.id}-${kind}`);
 const ready = [...document.querySelectorAll("script.drawing")].map(async (drawing) => {
   const plot = drawing.previousElementSibling, { item, frames } = JSON.parse(drawing.textContent);
-  const points = plot.closest(".charts").querySelector("script.points");
   const views = await Bokeh.embed.embed_item(item, plot.id);
   plot.frames = frames;
   plot.figure = views.roots[0].model;
-  if (points) {
-    const words = JSON.parse(points.textContent), source = sourceOf(plot, "points");
-    change(source, { words: Array.from(source.data.case, (i) => words[i] ?? "") });
-  }
   plot.whole = axes.map((name) => [plot.figure[name].start, plot.figure[name].end]);
 });
 const axes = ["x_range", "y_range"];
@@ -46,11 +41,10 @@ function rowsOf(plot) {
       curves.push({ name, x: of(x), y: of(y) });
     });
   }
-  const { x, y, label, case: cases, words } = sourceOf(plot, "points").data, bars = sourceOf(plot, "bars").data;
+  const { x, y, label } = sourceOf(plot, "points").data, bars = sourceOf(plot, "bars").data;
   for (const name of new Set(label)) {
     const rows = Array.from(label, (_, i) => i).filter((i) => label[i] === name);
-    const named = rows.some((i) => cases[i] >= 0) && rows.map((i) => words[i].replaceAll("\n", ", "));
-    curves.push({ name, x: rows.map((i) => number(x[i])), y: rows.map((i) => number(y[i])), words: named });
+    curves.push({ name, x: rows.map((i) => number(x[i])), y: rows.map((i) => number(y[i])) });
   }
   const keys = plot.figure.left[0].major_label_overrides;
   for (const name of new Set(bars.label)) {
@@ -59,13 +53,12 @@ function rowsOf(plot) {
     curves.push({ name, x: rows.map((i) => number(bars.right[i])), y: rows.map((_, i) => key(keys.get(i))) });
   }
   const first = JSON.stringify(curves[0].x);
-  if (curves.every((curve) => !curve.words && JSON.stringify(curve.x) === first)) {
+  if (curves.every((curve) => JSON.stringify(curve.x) === first)) {
     return [[across, ...curves.map((curve) => curve.name || upwards)],
       ...curves[0].x.map((value, i) => [value, ...curves.map((curve) => curve.y[i])])];
   }
-  const named = curves.some((curve) => curve.words);
-  return [["curve", across, upwards, ...(named ? ["case"] : [])], ...curves.flatMap((curve) =>
-    curve.x.map((value, i) => [curve.name || upwards, value, curve.y[i], ...(curve.words ? [curve.words[i]] : [])]))];
+  return [["curve", across, upwards], ...curves.flatMap((curve) =>
+    curve.x.map((value, i) => [curve.name || upwards, value, curve.y[i]]))];
 }
 function tabulate(plot) {
   const table = document.createElement("table"), rows = rowsOf(plot);

@@ -1,212 +1,243 @@
 """Final values of a sweep against each key, and how much each key matters, as panels.
 
-Against a key there are curves where its values repeat with the same others, and a point each case
-elsewhere, with the surrogate's mean over the other keys where it is good, or medians of all cases.
+Two rules: in a grid, a curve for each combination of the other keys, where these are few; in any
+other case a point for each case, and the surrogate's mean over the other keys where it is good.
 """
 
-import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_name
+from ringwear_par.errors import InputError, counted
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.studies.analysis.responses import SEED, chosen_cases
-from ringwear_par.studies.analysis.sensitivity import Indices
-from ringwear_par.studies.pictures.choice import LOG_VALUE, Arrangement, Choice, Key, spans
-from ringwear_par.studies.storage.end_values import display_of, final_name
-from ringwear_par.studies.storage.ensemble import Ensemble
+from ringwear_par.studies.end_values import display_of, figure_columns, final_name
+from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.factors import Factor
+from ringwear_par.studies.surrogate import (
+    GOOD,
+    SEED,
+    Indices,
+    Surrogate,
+    chosen_cases,
+    done_cases,
+    share_words,
+    sobol_indices,
+    surrogate,
+)
 
-#: most cases that are points against a key, and most without a running median
-_POINTS, _MANY = 1000, 200
+#: most keys, curves of a panel and cases with a point that are drawn
+_MOST_KEYS, _MOST_CURVES, _MOST_POINTS = 8, 8, 1000
+#: largest over smallest value above which an axis of values is logarithmic
+LOG_VALUE = 100.0
 #: pixels of a point times the square root of the number of points
 _SIZE = 64.0
-#: most values of a sampled key, and fewest cases of each, for medians at each value
-_DISCRETE, _REPEATED = 12, 5
-#: fewest cases at a value of which quantiles are drawn, of fewer the whole range; the quantiles
-_FEW_REPEATED, _QUANTILES = 20, (0.05, 0.95)
-#: distance from the place of a category over which its cases are spread, and half the width of the
-#: box of their range
-_ASIDE, _BOX = 0.2, 0.3
+#: distance from the place of a category over which its cases are spread
+_ASIDE = 0.2
 #: least range of an axis over the size of its values: smaller variations are round-off
 _LEAST_SPAN = 1e-3
-#: letters of a line in the title of a legend
-_LETTERS = 26
-#: factor by which a logarithmic axis goes beyond its values
-_BEYOND = 2.0
+_FIRST, _TOTAL = "first order S\N{SUBSCRIPT ONE}", "total S\N{LATIN SUBSCRIPT SMALL LETTER T}"
 
 
-def pointed_cases(choice: Choice) -> IntArray:
-    """Return the cases that have a point each: all of them, or some chosen at random."""
-    return chosen_cases(choice.cases, _POINTS)
+def spans(values: FloatArray, ratio: float) -> bool:
+    """Tell whether values ask for a logarithmic axis."""
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) and finite.min() > 0.0 and finite.max() >= ratio * finite.min())
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is drawn of a sweep."""
+
+    #: numbers of the cases that are done
+    cases: IntArray
+    #: names of final values
+    outputs: list[str]
+    #: the varied keys, and those of the largest indices, which are drawn
+    varied: list[Factor]
+    keys: list[Factor]
+    #: whether the design is one
+    grid: bool
+    #: None: there is none, for a reason
+    surrogate: Surrogate | None
+    absence: str
+    #: of the outputs of which the surrogate is good
+    indices: tuple[Indices, ...]
+    #: how many cases and keys, in words
+    counts: str
+
+    @property
+    def pointed(self) -> IntArray:
+        """The rows of the cases with a point each: all of them, or some chosen at random."""
+        return chosen_cases(np.arange(len(self.cases)), _MOST_POINTS)
+
+    def remarks(self) -> list[str]:
+        """Return what is to be said of the panels, in sentences."""
+        remarks = []
+        if self.surrogate is not None:
+            shares = {n: e for n, e in self.surrogate.relative_error.items() if e}
+            words = (
+                f"{display_of(name).name} {share_words(error)}"
+                + (", not drawn" if error > GOOD else "")
+                for name, error in shares.items()
+            )
+            remarks.append(
+                f"surrogate of {len(self.surrogate.points)} cases; keys vary evenly over their "
+                f"ranges; errors in left-out cases, of the spread: {'; '.join(words)}"
+            )
+        if len(self.pointed) < len(self.cases):
+            remarks.append(f"{len(self.pointed)} of {len(self.cases)} cases have points, by chance")
+        return remarks
+
+
+def choose(ensemble: Ensemble) -> Choice:
+    """Return the choice of what is drawn of a sweep; refuse one without a case. Not collective."""
+    cases, counts = np.flatnonzero(done_cases(ensemble)), _counts(ensemble)
+    if not len(cases):
+        raise InputError(
+            f"{ensemble.path}: has no case that is done ({counts}); must have one at least"
+        )
+    outputs = figure_columns(ensemble.final, cases)
+    varied = [Factor.of(ensemble, name, cases) for name in ensemble.varied]
+    varied = [key for key in varied if key.differs] or varied
+    made, absence = None, ""
+    try:
+        made = surrogate(
+            ensemble, [name for name in outputs if np.isfinite(ensemble.final[name][cases]).all()]
+        )
+    except InputError as error:
+        absence = str(error)
+    indices: list[Indices] = []
+    if made is not None and len(made.factors) > 1:
+        indices = [sobol_indices(made, name) for name in made.good]
+    weights = {key.name: 0.0 for key in varied}
+    for each in indices:
+        for name, total in zip(each.keys, each.total.tolist(), strict=True):
+            weights[name] = max(total, weights[name])
+    names = sorted(weights, key=lambda name: -weights[name])[:_MOST_KEYS]
+    keys = [key for key in varied if key.name in names]
+    if len(keys) < len(varied):
+        reason = "of the largest indices" if indices else "the first"
+        counts += f"; {len(keys)} of {len(varied)} keys, {reason}"
+    grid = ensemble.attributes.get("method") == "grid"
+    return Choice(cases, outputs, varied, keys, grid, made, absence, tuple(indices), counts)
+
+
+def _counts(ensemble: Ensemble) -> str:
+    """Return in words how many cases there are, and how many of them failed."""
+    failed = ensemble.status.count("failed")
+    return counted(len(ensemble.status), "case") + (f", {failed} failed" if failed else "")
 
 
 def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
-    """Return the panels of final values by output and key; points go as ``pointed_cases``."""
-    rows = np.searchsorted(choice.cases, pointed_cases(choice))
+    """Return the panels of final values by output and key."""
     return {
-        (output, arrangement.key.name): _effect(ensemble, choice, arrangement, output, rows)
-        for arrangement in choice.arrangements
+        (output, key.name): _effect(ensemble, choice, key, output)
+        for key in choice.keys
         for output in choice.outputs
     }
 
 
-def _effect(
-    ensemble: Ensemble, choice: Choice, arrangement: Arrangement, output: str, rows: IntArray
-) -> Panel:
-    """Return the panel of an output against a key; ``rows`` are those of cases with points."""
-    key, display = arrangement.key, display_of(output)
+def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Panel:
+    """Return the panel of an output against a key."""
+    display = display_of(output)
     label = f"final {display.label}" if output == "penetration" else display.label
     values = display.factor * ensemble.final[output][choice.cases]
-    response, errors = _response(choice, key, output)
-    curves, bands, points = [*response], [*errors], []
-    if arrangement.kind == "curves":
-        curves = [*_curves(arrangement, values, rows), *response]
-        if arrangement.points is not None and len(arrangement.points):
-            rest = np.isin(rows, arrangement.points)
-            points.append(_points(key, values, rows, rest, "other cases"))
-    else:
-        points.append(_points(key, values, rows, np.ones(len(rows), dtype=bool), "cases"))
-        if not response:
-            summary = _medians(arrangement, values)
-            curves = [mark for mark in summary if isinstance(mark, Curve)]
-            bands = [mark for mark in summary if isinstance(mark, Band)]
-            points += [mark for mark in summary if isinstance(mark, Points)]
-    return Panel(
-        Axis(key.label, log=key.logarithmic, categories=key.categories),
-        _value_axis(label, values, [*curves, *points], bands), f"{label} over {key.label}",
-        curves=curves, bands=bands, points=points, legend=arrangement.title,
+    others = [other for other in choice.varied if other is not key and other.differs]
+    curves = _curves(key, others, values) if choice.grid else []
+    axes = (
+        Axis(key.label, log=key.logarithmic, categories=key.categories), _value_axis(label, values),
     )  # fmt: skip
+    title = f"{label} over {key.label}"
+    if curves:
+        legend = ",\n".join(other.label for other in others)
+        return Panel(*axes, title, curves=curves, legend=legend)
+    points, bands = [_points(key, values, choice.pointed)], []
+    made = choice.surrogate
+    if made is not None and output in made.good:
+        along, mean = made.mean_along(key.name, output)
+        shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
+        low, mean, high = (display.factor * each for each in shifted)
+        name = "surrogate, mean over the other keys"
+        interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
+        if key.texts:
+            width = np.stack([mean - low, high - mean])
+            (texts,) = (factor.texts for factor in made.factors if factor.name == key.name)
+            places = np.array([float(key.texts.index(texts[int(number)])) for number in along])
+            points.append(
+                Points(places, mean, name, COLOURS[0], 20.0, marker="level", errors=width)
+            )
+        else:
+            along, ends = along / key.scale, (f"{interval}, from", f"{interval}, to")
+            bands = [Band(along, low, high, interval, ends, COLOURS[1], 0.5)]
+            curves = [Curve(along, mean, name, COLOURS[0])]
+    return Panel(*axes, title, curves=curves, bands=bands, points=points)
 
 
-def _curves(arrangement: Arrangement, values: FloatArray, rows: IntArray) -> list[Curve]:
-    """Return one curve for each combination of the other keys, with its cases."""
-    number_of = np.full(len(values), -1)
-    number_of[rows] = np.arange(len(rows))
-    x = arrangement.key.values
+def _curves(key: Factor, others: Sequence[Factor], values: FloatArray) -> list[Curve]:
+    """Return a curve for each combination of the other keys; none of many."""
+    words = zip(*(other.words() for other in others), strict=True)
+    names = [", ".join(row) for row in words] or ["cases"] * len(values)
+    known = np.flatnonzero(np.isfinite(key.values))
+    rows: dict[str, list[int]] = {names[row]: [] for row in known}
+    for row in known[np.argsort(key.values[known], kind="stable")]:
+        rows[names[row]].append(row)
+    if len(rows) > _MOST_CURVES:
+        return []
     return [
         Curve(
-            x[curve], values[curve], arrangement.labels[number] if arrangement.labels else "cases",
-            COLOURS[number % len(COLOURS)], number + number // len(COLOURS), marked=True,
-            tabulated=False, cases=number_of[curve],
+            key.values[row] / key.scale,
+            values[row],
+            name,
+            COLOURS[i % len(COLOURS)],
+            i,
+            marked=True,
         )
-        for number, curve in enumerate(arrangement.curves)
-    ]  # fmt: skip
+        for i, (name, row) in enumerate(rows.items())
+    ]
 
 
-def _points(key: Key, values: FloatArray, rows: IntArray, chosen: BoolArray, name: str) -> Points:
-    """Return a point for each of the chosen ``rows``."""
-    x = key.values[rows]
-    chosen = chosen & np.isfinite(x)
-    if key.categories:
+def _points(key: Factor, values: FloatArray, rows: IntArray) -> Points:
+    """Return a point for each of some cases."""
+    x, size = key.values[rows] / key.scale, float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
+    if key.texts:
         x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
-    size = float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
-    numbers = np.arange(len(rows))
-    return Points(x[chosen], values[rows][chosen], name, GREY, size, cases=numbers[chosen])
+    known = np.isfinite(x)
+    return Points(x[known], values[rows][known], "cases", GREY, size, behind=True)
 
 
-def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band | Points]:
-    """Return medians of all cases along a key, with their range where its values repeat."""
-    key = arrangement.key
-    known = np.isfinite(key.values) & np.isfinite(values)
-    x, y = key.values[known], values[known]
-    levels = np.unique(x)
-    if not len(x):
-        return []
-    if arrangement.kind == "scatter" and not (
-        len(levels) <= _DISCRETE and len(x) >= _REPEATED * len(levels)
-    ):
-        if len(x) <= _MANY:
-            return []
-        parts = np.array_split(np.argsort(x, kind="stable"), min(20, len(x) // 50))
-        along, middle = (np.array([np.median(column[part]) for part in parts]) for column in (x, y))
-        return [Curve(along, middle, "running median", COLOURS[1], 1)]
-    repeated = [y[x == level] for level in levels]
-    middle = np.array([np.median(part) for part in repeated])
-    if arrangement.kind == "scatter":
-        return [Points(levels, middle, "median", COLOURS[1], 20.0, marker="level")]
-    whole = np.median([len(part) for part in repeated]) < _FEW_REPEATED
-    ends = (0.0, 1.0) if whole else _QUANTILES
-    low, high = np.array([np.quantile(part, ends) for part in repeated]).T
-    name = "full range" if whole else "5\N{EN DASH}95 %"
-    median = "median over the others"
-    summary: list[Curve | Band | Points] = []
-    if key.categories:  # a box each
-        levels, low, high = (
-            np.stack([ends, ends, np.full(len(ends), np.nan)], axis=1).ravel()
-            for ends in (levels, low, high)
-        )
-        levels[::3] -= _BOX
-        levels[1::3] += _BOX
-        summary.append(Points(levels[::3] + _BOX, middle, median, COLOURS[1], 20.0, marker="level"))
-    else:
-        summary.append(Curve(levels, middle, median, COLOURS[1], marked=True))
-    ends_names = ("least", "largest") if whole else ("5 %", "95 %")
-    return [Band(levels, low, high, name, ends_names, COLOURS[0], 0.2), *summary]
-
-
-def _response(choice: Choice, key: Key, output: str) -> tuple[list[Curve], list[Band]]:
-    """Return the surrogate's mean over the other keys, with its error."""
-    responses, factor = choice.responses, display_of(output).factor
-    if responses is None or output not in responses.names or key.name not in responses.keys:
-        return [], []
-    along, mean, low, high = responses.part.mean_along(responses.keys[key.name], output)
-    along = along / key.scale
-    name, short = "surrogate", "surrogate"
-    if len(responses.part.keys) > 1:
-        name, short = f"{name}, mean over the other keys", f"{short}, mean over others"
-    ends = ("95 % of the surrogate, from", "95 % of the surrogate, to")
-    interval = "95 % of the surrogate (2 leave-out errors)"
-    band = Band(along, factor * low, factor * high, interval, ends, COLOURS[1], 0.5)
-    return [Curve(along, factor * mean, name, COLOURS[0], legend=short)], [band]
-
-
-def _value_axis(
-    label: str, values: FloatArray, marks: Sequence[Curve | Points], bands: Sequence[Band]
-) -> Axis:
+def _value_axis(label: str, values: FloatArray) -> Axis:
     """Return the axis of an output: logarithmic, or wider than round-off."""
-    if spans(values, LOG_VALUE):
-        finite = values[np.isfinite(values)]
-        ends = float(finite.min()) / _BEYOND, float(finite.max()) * _BEYOND
-        return Axis(label, ends, log=True)
-    drawn = np.concatenate([
-        *(mark.y for mark in marks), *(band.low for band in bands), *(band.high for band in bands),
-    ])  # fmt: skip
-    drawn = drawn[np.isfinite(drawn)]
-    if not len(drawn):
+    values = values[np.isfinite(values)]
+    if not len(values):
         return Axis(label)
-    low, high = float(drawn.min()), float(drawn.max())
-    wider = _LEAST_SPAN * max(abs(low), abs(high)) - (high - low)
-    return Axis(label, (low - 0.5 * wider, high + 0.5 * wider) if wider > 0.0 else None)
+    low, high = float(values.min()), float(values.max())
+    if spans(values, LOG_VALUE):
+        return Axis(label, (0.5 * low, 2.0 * high), log=True)
+    wider = 0.5 * (_LEAST_SPAN * max(abs(low), abs(high)) - (high - low))
+    return Axis(label, (low - wider, high + wider) if wider > 0.0 else None)
 
 
-def index_panels(indices: Sequence[Indices], keys: Sequence[str] | None = None) -> dict[str, Panel]:
-    """Return the bars of the indices by output, of some keys or of all (None)."""
-    return {of_output.output: _index_panel(of_output, keys) for of_output in indices}
-
-
-def _index_panel(indices: Indices, keys: Sequence[str] | None) -> Panel:
-    chosen = [i for i, key in enumerate(indices.keys) if keys is None or key in keys]
-    name = final_name(indices.output)
-    title = f"Indices of the {name}"
-    if indices.noise:
-        title += "; dotted: \N{GREEK SMALL LETTER DELTA} of a key without influence"
-    places = np.arange(len(chosen), dtype=float)
-    bars = [
-        Bars(
-            places + aside, values[chosen], words, colour,
-            None if widths is None else widths[chosen],
-        )
-        for aside, words, values, widths, colour in zip(
-            (-0.17, 0.17), indices.names, (indices.first, indices.influence),
-            (indices.first_width, indices.influence_width), COLOURS[:2], strict=True,
-        )
-    ]  # fmt: skip
-    return Panel(
-        Axis("sensitivity index", ends=(0.0, 1.05)),
-        Axis("", categories=tuple(quantity_name(indices.keys[i]) for i in chosen), reversed=True),
-        title, bars=bars, uprights=(indices.noise,) if indices.noise else (),
-        legend=f"{textwrap.fill(f'{name}:', _LETTERS)}\n{indices.source}",
-    )  # fmt: skip
+def index_panels(choice: Choice) -> dict[str, Panel]:
+    """Return the bars of Sobol' indices by output, of the keys that are drawn."""
+    panels = {}
+    for each in choice.indices:
+        rows = [each.keys.index(key.name) for key in choice.keys if key.name in each.keys]
+        places = np.arange(len(rows), dtype=float)
+        bars = [
+            Bars(places + aside, values[rows], name, colour)
+            for aside, values, name, colour in (
+                (-0.17, each.first, _FIRST, COLOURS[0]), (0.17, each.total, _TOTAL, COLOURS[1]),
+            )
+        ]  # fmt: skip
+        categories = tuple(quantity_name(each.keys[i]) for i in rows)
+        panels[each.output] = Panel(
+            Axis("Sobol' index", ends=(0.0, 1.05)),
+            Axis("", categories=categories, reversed=True),
+            f"Sobol' indices of the {final_name(each.output)}", bars=bars,
+            legend=final_name(each.output),
+        )  # fmt: skip
+    return panels

@@ -1,19 +1,13 @@
-"""The figure of a sweep, from its stored results: histories, sensitivity indices, final values.
-
-Where a design leaves many cases, they are chosen at random, with a fixed seed: every k-th case of a
-Sobol sequence or of a grid is no sample of it.
-"""
+"""The figure of a sweep, from its stored results: histories, Sobol' indices, final values."""
 
 import logging
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 
-from ringwear_par.errors import InputError
 from ringwear_par.pictures.matplotlib import (
     add_letters,
     add_shared_legend,
@@ -23,128 +17,74 @@ from ringwear_par.pictures.matplotlib import (
 )
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, number_text, plain, set_legend
-from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
-from ringwear_par.studies.analysis.surrogate import Surrogate, surrogate
-from ringwear_par.studies.pictures.choice import Choice, choose
-from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
-from ringwear_par.studies.pictures.histories import FEW, histories
-from ringwear_par.studies.storage.ensemble import Ensemble
+from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.pictures.effects import Choice, choose, effects, index_panels
+from ringwear_par.studies.pictures.histories import histories
 
 log = logging.getLogger(__name__)
 
-#: panels in a row: of final values, of indices
+#: most panels in a row: of final values, of indices
 _COLUMNS, _BARS = 4, 3
-#: inches of a panel of final values, and of the figure at least
-_PANEL, _WIDTH = (2.3, 2.1), 7.2
+#: inches of a panel of final values, of the figure at least, of the histories
+_PANEL, _WIDTH, _TOP = (2.3, 2.1), 7.2, 2.3
 #: inches of a line of a legend, and of a title
 _LEGEND_LINE, _TITLE_LINE = 0.18, 0.15
 #: letters of a line in a title, of a legend above a panel, and of a label along its height
 _TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 34, 26
 
 
-def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
-    """Return the figure of a sweep's results, with a surrogate if one can be made.
-
-    Not collective.
-    """
-    try:
-        return draw_sweep(ensemble, surrogate(ensemble))
-    except InputError as error:
-        log.info("no surrogate: %s", error)
-        return draw_sweep(ensemble)
-
-
-def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figure:
-    """Return the figure of a sweep's results, with that of their surrogate. Not collective."""
-    indices = sensitivity_indices(ensemble, regressions)
-    choice = choose(ensemble, regressions, indices)
-    grids, remarks = _grids(ensemble, choice), _remarks(choice)
+def draw_sweep(ensemble: Ensemble) -> Figure:
+    """Return the figure of a sweep's results. Not collective."""
+    choice = choose(ensemble)
+    if choice.absence:
+        log.info("no surrogate: %s", choice.absence)
+    bars, grids = [*index_panels(choice).values()], _grids(ensemble, choice)
+    remarks = [
+        plain(line) for text in choice.remarks() for line in textwrap.wrap(text, _TITLE_LETTERS)
+    ]
+    over_time = histories(ensemble, choice)
+    heights = [_TOP + _LEGEND_LINE * legend_shape(over_time, _TITLE_LETTERS)[1]]
+    heights += [1.3 + 0.3 * len(choice.keys)] * -(-len(bars) // _BARS)
+    for number, grid in enumerate(grids):
+        lines = max(legend_shape(panel, _LEGEND_LETTERS)[1] for panel in grid[0])
+        titles = 0 if number else len(remarks)
+        heights.append(_PANEL[1] * len(grid) + 0.3 + _LEGEND_LINE * lines + _TITLE_LINE * titles)
+    width = max(_WIDTH, *(_PANEL[0] * len(grid[0]) for grid in grids))
     with matplotlib.rc_context(STYLE):
-        beside, *below = _index_rows(indices, [key.name for key in choice.keys])
-        bars_height = max(2.6, 1.8 + 0.3 * len(choice.keys))
-        heights = [bars_height if beside else 2.6] + [bars_height] * len(below)
-        for number, grid in enumerate(grids):
-            lines = max(legend_shape(panel, _LEGEND_LETTERS)[1] for panel in grid[0])
-            titles = 0 if number else len(remarks)
-            heights.append(
-                _PANEL[1] * len(grid) + 0.3 + _LEGEND_LINE * lines + _TITLE_LINE * titles
-            )
-        width = max(_WIDTH, _PANEL[0] * max((len(grid[0]) for grid in grids), default=0))
         figure = NotebookFigure(figsize=(width, sum(heights) + 0.3), layout="constrained")
         figure.suptitle(choice.counts, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_top(parts[0], histories(ensemble, choice), beside, len(choice.cases))
-        for part, row in zip(parts[1:], below, strict=False):
-            axes = part.subplots(1, len(below[0]), squeeze=False)[0]
-            _draw_bars(axes[: len(row)], row)
-            for empty in axes[len(row) :]:
-                empty.remove()
-        for number, (part, grid) in enumerate(zip(parts[1 + len(below) :], grids, strict=True)):
-            _draw_grid(part, grid, "" if number else "\n".join(remarks))
+        draw(parts[0].subplots(), over_time, 4)
+        for start, part in zip(range(0, len(bars), _BARS), parts[1:], strict=False):
+            _draw_bars(part, bars[start : start + _BARS])
+        for number, grid in enumerate(grids):
+            _draw_grid(parts[number - len(grids)], grid, "" if number else "\n".join(remarks))
         add_letters(figure)
     return figure
 
 
 def _grids(ensemble: Ensemble, choice: Choice) -> list[list[list[Panel]]]:
-    """Return the panels of final values in grids, their columns as even as may be.
+    """Return the panels of final values in grids: a column is a key and a row an output.
 
-    A column is a key and a row an output, but for a single key, whose outputs stand in a row.
+    Their columns are as even as may be; the outputs of a single key stand in a row.
     """
     panels = effects(ensemble, choice)
     keys = [key.name for key in choice.keys]
     if len(keys) == 1:
-        return [[[panels[output, keys[0]] for output in choice.outputs]]]
+        return [[[*panels.values()]]]
     columns = -(-len(keys) // -(-len(keys) // _COLUMNS))
-    return [
-        [
-            [panels[output, key] for key in keys[start : start + columns]]
-            for output in choice.outputs
-        ]
-        for start in range(0, len(keys), columns)
-    ]
+    parts = [keys[start : start + columns] for start in range(0, len(keys), columns)]
+    return [[[panels[output, key] for key in part] for output in choice.outputs] for part in parts]
 
 
-def _remarks(choice: Choice) -> list[str]:
-    """Return the remarks on final values, in lines."""
-    remarks = [] if choice.responses is None else [*choice.responses.remarks]
-    pointed = len(pointed_cases(choice))
-    if pointed < len(choice.cases):
-        remarks.append(f"points: {pointed} of {len(choice.cases)} cases, chosen at random")
-    return [plain(line) for text in remarks for line in textwrap.wrap(text, _TITLE_LETTERS)]
-
-
-def _draw_top(part: Any, panel: Panel, bars: Sequence[Panel], cases: int) -> None:
-    """Draw the histories, and bars beside them."""
-    axes = part.subplots(1, 1 + len(bars), width_ratios=[1.3, *(1.0 for _ in bars)], squeeze=False)[
-        0
-    ]
-    if cases > FEW:
-        draw(axes[0], panel, 2 if bars else 4)
-    else:
-        draw(axes[0], panel, 0)
-        if panel.legend:
-            axes[0].legend(
-                frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=panel.legend,
-                title_fontsize=8.0, ncols=1 if cases <= 8 else 2,
-            )  # fmt: skip
-    _draw_bars(axes[1:], bars)
-
-
-def _index_rows(indices: Sequence[Indices], keys: Sequence[str]) -> list[Sequence[Panel]]:
-    """Return panels beside the histories, whose legend needs room, and rows of the rest."""
-    panels = [*index_panels(indices, keys).values()]
-    if len(panels) < 2:
-        return [panels]
-    return [(), *(panels[start : start + _BARS] for start in range(0, len(panels), _BARS))]
-
-
-def _draw_bars(all_axes: Any, panels: Sequence[Panel]) -> None:
+def _draw_bars(part: Any, panels: Sequence[Panel]) -> None:
+    """Draw bars of indices beside each other, for the same keys."""
+    all_axes = part.subplots(1, len(panels), squeeze=False)[0]
     for axes, panel in zip(all_axes, panels, strict=True):
-        draw(axes, panel, 1)
+        draw(axes, panel, 2)
         axes.grid(axis="x", linewidth=0.4, color="0.85")
         axes.set_axisbelow(True)
-        if panel is not panels[0] and panel.y == panels[0].y:
-            axes.tick_params(labelleft=False)
+        axes.tick_params(labelleft=panel is panels[0])
 
 
 def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None:
@@ -157,12 +97,11 @@ def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None
     for number, row in enumerate(grid):
         for axes, panel in zip(all_axes[number], row, strict=True):
             draw(axes, panel, 0)
-            every, column = legend_entries(axes), _of_column(panel)
-            names = [plain(curve.name) for curve in column.curves]
-            entries |= {name: handle for name, handle in every.items() if name not in names}
-            if names and not number:
-                columns = legend_shape(column, _LEGEND_LETTERS)[0]
-                set_legend(axes, columns, panel.legend, {name: every[name] for name in names})
+            if not panel.legend:
+                entries |= legend_entries(axes)
+            elif not number:
+                columns = legend_shape(panel, _LEGEND_LETTERS)[0]
+                set_legend(axes, columns, panel.legend, legend_entries(axes))
             axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
             below = textwrap.fill(axes.get_xlabel(), _LABEL_LETTERS)
             axes.set_xlabel(below if number == len(grid) - 1 else "")
@@ -178,9 +117,3 @@ def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None
                 axes.tick_params(labelleft=False)
     part.align_ylabels(all_axes[:, 0])
     add_shared_legend(part, entries, remarks)
-
-
-def _of_column(panel: Panel) -> Panel:
-    """Return a panel with what its column alone names: curves at other values of other keys."""
-    curves = [curve for curve in panel.curves if panel.legend and curve.cases is not None]
-    return replace(panel, curves=curves, bands=(), points=())

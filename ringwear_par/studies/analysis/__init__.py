@@ -1,1 +1,0 @@
-"""Surrogates and sensitivity indices of sweeps."""

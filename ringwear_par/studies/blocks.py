@@ -1,0 +1,166 @@
+"""Blocks: the unit in which a sweep works, stores and goes on.
+
+The cases of a study, ordered by contact pair, are cut into blocks of a fixed size, which depends on
+the cases only, never on ranks. A block is named by its content, and is one HDF5 file that appears
+by rename: it is there, whole, or it is not. To go on is to compute the blocks that are not there.
+
+Nobody hands blocks out. Every team of ranks walks the list from its own share on; it locks what it
+computes, and the system drops the locks of killed processes. Ranks of one job, jobs, and tasks of
+an array are all the same; each ends when all blocks are there.
+"""
+
+import fcntl
+import logging
+import time
+from collections import defaultdict
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import IntArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.bem.boundary import count_elements
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.errors import InputError
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.refusals.cases import check_memory, check_mesh
+from ringwear_par.parallel import together
+from ringwear_par.studies.block_files import arrays_of
+from ringwear_par.studies.study import Study
+from ringwear_par.studies.together import Computed, computed, most_together
+
+log = logging.getLogger(__name__)
+
+#: folder of the blocks, in that of the sweep
+FOLDER = "blocks"
+#: s, between two looks whether others have ended, while they are at work on the last blocks
+_SHORTEST_NAP, _LONGEST_NAP = 0.01, 2.0
+#: contact pairs that a rank keeps for its next block
+_MOST_PAIRS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Cases that are computed and stored together."""
+
+    #: of its file, named by its content
+    path: Path
+    #: of the cases in the study
+    numbers: IntArray
+
+
+def blocks_of(study: Study, folder: Path) -> list[Block]:
+    """Return the blocks of a study in the folder of a sweep, the same on all ranks."""
+    first = study.a_case()
+    n = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
+    assembly = 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3  # s: n^2 elements, n^3 factors
+    size = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
+    parts = np.split(study.order, range(size, len(study), size))
+    return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part) for part in parts]
+
+
+# -- who computes which ------------------------------------------------------------------------
+
+
+def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Iterator[Block]:
+    """Yield blocks that are not there and that nobody is at work on, until all are there.
+
+    Each is locked until the next is asked for. At the end this waits for those of others, and takes
+    over what a killed process had locked. Where the disk has no locks: the blocks of a share.
+
+    Parameters
+    ----------
+    share, shares : number of this team of ranks, and how many there are.
+    """
+    first = len(blocks) * share // shares
+    left, nap = [*blocks[first:], *blocks[:first]], _SHORTEST_NAP
+    while left:
+        at_work = []
+        for block in left:
+            if block.path.exists():
+                continue
+            try:
+                lock = block.path.with_suffix(".lock").open("w")
+            except FileNotFoundError:  # another process has merged all blocks
+                return
+            with lock:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    at_work.append(block)
+                    continue
+                except OSError:
+                    log.warning("%s: has no locks; each rank computes its share", lock.name)
+                    yield from (b for b in blocks[share::shares] if not b.path.exists())
+                    return
+                try:
+                    if not block.path.exists():
+                        nap = _SHORTEST_NAP
+                        yield block
+                finally:
+                    Path(lock.name).unlink(missing_ok=True)
+        left = at_work
+        if left:
+            time.sleep(nap)
+            nap = min(2.0 * nap, _LONGEST_NAP)
+
+
+# -- a block is computed -----------------------------------------------------------------------
+
+
+def pair_of(case: Case, pairs: dict[Hashable, ContactPair], comm: MPI.Comm) -> ContactPair:
+    """Return the contact pair of a case, one of those that are there, or a new one among them.
+
+    Collective on comm.
+
+    Raises
+    ------
+    Exception : it cannot be assembled.
+    """
+    key = operator_key(case)
+    if key not in pairs:
+        check_memory(case, comm.size, "case")
+        check_mesh(case, "case")
+        while len(pairs) >= _MOST_PAIRS:
+            del pairs[next(iter(pairs))]
+        with together(comm):
+            pairs[key] = assemble(case, comm)
+    return pairs[key]
+
+
+def compute(
+    study: Study, block: Block, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
+) -> dict[str, Any]:
+    """Return all that is stored of a block's cases, by name, (cases, ...). Collective on comm.
+
+    Failed cases are among them, with their reasons.
+
+    Parameters
+    ----------
+    pairs : contact pairs of earlier blocks; some of this one are added.
+    """
+    cases = study.cases_of(block.numbers)
+    errors: dict[int, Exception] = {
+        i: case for i, case in enumerate(cases) if isinstance(case, InputError)
+    }
+    of_pairs: dict[Hashable, list[int]] = defaultdict(list)
+    for i, case in enumerate(cases):
+        if isinstance(case, Case):
+            of_pairs[operator_key(case)].append(i)
+    parts: list[tuple[IntArray, Computed]] = []
+    for numbers in of_pairs.values():
+        chosen: list[Any] = [cases[i] for i in numbers]
+        try:
+            pair = pair_of(chosen[0], pairs, comm)
+            done = computed(chosen, [pair] * len(chosen), comm)
+        except Exception as error:  # the same for all of them
+            errors |= dict.fromkeys(numbers, error)
+            continue
+        parts += [(np.array(numbers)[[*part.numbers]], part) for part in done]
+    ids = study.ids(block.numbers)
+    return {"case": ids, "number": block.numbers, **arrays_of(cases, parts, errors)}

@@ -1,1 +1,0 @@
-"""Study files: cases, keys that vary, designs."""

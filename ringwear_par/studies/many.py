@@ -1,0 +1,143 @@
+"""``rw.simulate_all``: many cases at once, shared out over the ranks."""
+
+import logging
+from collections import defaultdict
+from collections.abc import Hashable, Mapping, Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case, need_case
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.errors import InputError
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.refusals.cases import check_case
+from ringwear_par.parallel import as_ours, together
+from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.studies.blocks import pair_of
+from ringwear_par.studies.together import computed, most_together
+from ringwear_par.studies.variations import is_whole
+
+log = logging.getLogger(__name__)
+
+#: most cases of a block: more would be a little quicker, but leave fewer for other ranks
+_MOST = 512
+
+
+def simulate_all(
+    cases: Sequence[Case],
+    comm: MPI.Comm | None = None,
+    *,
+    batch: int | None = None,
+) -> list[Result | FailedResult]:
+    """Return the wear histories of many cases, in their order.
+
+    Collective on comm, the world's where none is given; every rank gets all of them. Cases that can
+    share a contact pair do; blocks of them, each of one rank, are dealt in turn. A case that fails
+    does not disturb the others.
+
+    Parameters
+    ----------
+    cases : the same on all ranks.
+    batch : most cases of a block; None: as many as are quickest. Results depend on it by round-off
+        only, and not on the number of ranks.
+
+    Returns
+    -------
+    list : a Result or a FailedResult for each case.
+
+    Raises
+    ------
+    InputError : ``batch`` is no whole number >= 1, or there is something else than cases.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> case = rw.read_case("scripts/cases/paper.toml")
+    >>> cases = [case.replace({"load.pressure": pressure}) for pressure in (60, 80)]
+    >>> [f"{1e3 * one.histories['penetration'][-1]:.2f} um" for one in rw.simulate_all(cases)]
+    ['5.17 um', '9.73 um']
+    """
+    if batch is not None and not (is_whole(batch) and batch >= 1):
+        raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
+    if isinstance(cases, Case | Mapping | str | Path):
+        raise InputError(
+            f"simulate_all: a list of cases is needed, not {type(cases).__name__}; simulate "
+            "takes one case"
+        )
+    cases = list(cases)
+    for number, case in enumerate(cases):
+        need_case(case, f"simulate_all: cases[{number}]")
+    comm = MPI.COMM_WORLD if comm is None else comm
+    return results_of(cases, comm, batch=batch)
+
+
+def results_of(
+    cases: Sequence[Case],
+    comm: MPI.Comm,
+    *,
+    batch: int | None = None,
+    step_times: Sequence[Sequence[float]] | None = None,
+    paces: Sequence[FloatArray] | None = None,
+) -> list[Result | FailedResult]:
+    """Return the histories of cases on all ranks, see ``simulate_all``. Collective on comm.
+
+    Blocks of cases of one contact pair are computed by the ranks in turn. Step times (s) are the
+    ends of the steps of each case; paces (2, steps) are factors on the rates of each.
+    """
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, case in enumerate(cases):
+        try:
+            groups[operator_key(case)].append(number)
+        except Exception:  # of a case that is no good; its block says why
+            groups[number].append(number)
+    blocks = []
+    for numbers in groups.values():
+        size = batch or min(most_together(cases[numbers[0]]), _MOST)
+        blocks += [numbers[i : i + size] for i in range(0, len(numbers), size)]
+    pairs: dict[Hashable, ContactPair] = {}
+
+    def computed_block(numbers: Sequence[int]) -> list[Result | FailedResult]:
+        """Return the results of cases of a contact pair, by this rank alone."""
+        found: dict[int, Result | Exception] = {}
+        good: list[int] = []
+        for number in numbers:
+            try:
+                check_case(cases[number], 1, "case", known_mesh=bool(good))
+                good.append(number)
+            except Exception as error:
+                found[number] = error
+        try:
+            parts = computed(
+                [cases[number] for number in good],
+                [pair_of(cases[number], pairs, MPI.COMM_SELF) for number in good],
+                results=True,
+                step_times=None if step_times is None else [step_times[n] for n in good],
+                paces=None if paces is None else [paces[n] for n in good],
+            )  # fmt: skip
+            for part in parts:
+                found.update(zip((good[i] for i in part.numbers), part.results(), strict=True))
+        except Exception as error:  # the same for all of them
+            found.update(dict.fromkeys(good, error))
+        return [
+            _failed(cases[number], result) if isinstance(result, Exception) else result
+            for number, result in ((number, found[number]) for number in numbers)
+        ]
+
+    results: dict[int, Result | FailedResult] = {}
+    with together(comm):  # or the others would wait for its results
+        mine = [computed_block(numbers) for numbers in blocks[comm.rank :: comm.size]]
+    for i, numbers in enumerate(blocks):  # one by one: all might be too much for a message
+        part = mine[i // comm.size] if i % comm.size == comm.rank else None
+        results.update(zip(numbers, comm.bcast(part, i % comm.size), strict=True))
+    return [results[number] for number in range(len(cases))]
+
+
+def _failed(case: Case, error: Exception) -> FailedResult:
+    """Return the result of a case that failed."""
+    log.debug("a case failed", exc_info=error)
+    reason = as_ours(error)
+    # they hold the model and its matrices
+    reason.__traceback__ = reason.__cause__ = reason.__context__ = None
+    return FailedResult(case.stored_text, reason)
