@@ -58,7 +58,9 @@ def blocks_of(study: Study, folder: Path) -> list[Block]:
     """Return the blocks of a study in the folder of a sweep, the same on all ranks."""
     first = study.a_case()
     n = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
-    assembly = 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3  # s: n^2 elements, n^3 factors
+    assembly = (
+        0.03 + 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3
+    )  # s: n^2 elements, n^3 factors
     size = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
     parts = np.split(study.order, range(size, len(study), size))
     return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part) for part in parts]

@@ -19,7 +19,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
 from ringwear_par.files.folders import refuse_others
 from ringwear_par.files.writing import check_writable, unwritable
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
@@ -230,7 +230,8 @@ class _Sweep:
     def estimate(self) -> str:
         """Compute the first free block, which stays, and return about how long the others take."""
         blocks, study = self._blocks, self._study
-        lines = [f"{len(study)} cases in {len(blocks)} blocks, {self._begun} of them there"]
+        cases, count = counted(len(study), "case"), counted(len(blocks), "block")
+        lines = [f"{cases} in {count}, {self._begun} there already"]
         merged = on_first_rank(self._comm, lambda: is_merged(self._folder, blocks))
         if not merged:
             self._compute(most=1 if self._share == 0 else 0)
@@ -241,9 +242,9 @@ class _Sweep:
             size = path.stat().st_size / done * len(study)
             lines += [
                 f"one block of {done} cases took {duration(seconds)}; it stays in {path.parent}",
-                f"the other {left} blocks on {self._comm.size} rank(s) in {teams} team(s): about "
+                f"the other {counted(left, 'block')} on {counted(self._comm.size, 'rank')}: about "
                 f"{duration(float(f'{seconds * -(-left // teams):.2g}'))}, "
-                f"{1e-6 * peak_memory():.0f} MB of memory a rank, {2e-6 * size:.3g} MB on disk",
+                f"{1e-6 * peak_memory():.0f} MB of memory a rank, {1.4e-6 * size:.3g} MB on disk",
             ]
         return "\n".join(lines)
 
