@@ -5,9 +5,7 @@ import logging
 import os
 import pickle
 import resource
-from collections import deque
-from collections.abc import Callable, Generator, Iterable
-from itertools import islice
+from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
@@ -38,55 +36,6 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
     packed = comm.bcast(packed)
     with together(comm):
         return cast(T, pickle.loads(packed))
-
-
-def results_of_tasks(
-    comm: "MPI.Comm", tasks: Iterable[Callable[[], T]]
-) -> Generator[T, None, None]:
-    """Yield the results of tasks, which all ranks work on, in their order. On rank 0 of comm.
-
-    Within ``with_help_of_all``. Tasks and results are
-    sent as they are used.
-    """
-    left = iter(tasks)
-    while batch := list(islice(left, comm.size)):
-        at_work = deque(range(1, len(batch)))
-        for rank in at_work:
-            comm.send(batch[rank], rank)
-        try:
-            yield batch[0]()
-            while at_work:
-                result = comm.recv(source=at_work.popleft())
-                if isinstance(result, Exception):
-                    raise result
-                yield pickle.loads(result)
-        finally:  # no rank is left with a result that it cannot send
-            for rank in at_work:
-                comm.recv(source=rank)
-
-
-def with_help_of_all(comm: "MPI.Comm", action: Callable[[], T]) -> T:
-    """Return the result of an action on rank 0, see ``on_first_rank``, whose tasks all work on.
-
-    The action uses ``results_of_tasks`` in a ``closing`` block: where it fails, others may still be
-    sending results. Collective on comm.
-    """
-
-    def act() -> T:
-        try:
-            return action()
-        finally:
-            for rank in range(1, comm.size):
-                comm.send(None, rank)
-
-    result: bytes | RingwearError
-    while comm.rank and (task := comm.recv(source=0)) is not None:
-        try:
-            result = pickle.dumps(task(), pickle.HIGHEST_PROTOCOL)
-        except Exception as error:
-            result = as_ours(error)
-        comm.send(result, 0)
-    return on_first_rank(comm, act)
 
 
 def as_on_first_rank(comm: "MPI.Comm", value: T) -> T:

@@ -8,7 +8,6 @@ import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
 
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 
@@ -53,11 +52,6 @@ def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
 def _beside(path: Path) -> Path:
     """Return a new name in the folder of a file."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-
-
-def open_or_make(path: Path) -> BinaryIO:
-    """Open a file to read and write, which is made if it is not there. Not collective."""
-    return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "rb+")
 
 
 def check_writable(path: Path) -> None:

@@ -13,7 +13,7 @@ import fcntl
 import logging
 import time
 from collections import defaultdict
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Generator, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.errors import InputError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.refusals.cases import check_memory, check_mesh
@@ -58,7 +58,9 @@ def blocks_of(study: Study, folder: Path) -> list[Block]:
     """Return the blocks of a study in the folder of a sweep, the same on all ranks."""
     first = study.a_case()
     n = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
-    assembly = 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3  # s: n^2 elements, n^3 factors
+    assembly = (
+        0.03 + 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3
+    )  # s: n^2 elements, n^3 factors
     size = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
     parts = np.split(study.order, range(size, len(study), size))
     return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part) for part in parts]
@@ -67,11 +69,11 @@ def blocks_of(study: Study, folder: Path) -> list[Block]:
 # -- who computes which ------------------------------------------------------------------------
 
 
-def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Iterator[Block]:
+def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[Block, None, None]:
     """Yield blocks that are not there and that nobody is at work on, until all are there.
 
-    Each is locked until the next is asked for. At the end this waits for those of others, and takes
-    over what a killed process had locked. Where the disk has no locks: the blocks of a share.
+    Each is locked until the next is asked for, or this is closed. In the end this waits for those
+    of others, and takes over what a killed process had locked. Without locks: those of a share.
 
     Parameters
     ----------
@@ -120,12 +122,16 @@ def pair_of(case: Case, pairs: dict[Hashable, ContactPair], comm: MPI.Comm) -> C
 
     Raises
     ------
+    InputError : an option for PETSc, which no case can do with.
     Exception : it cannot be assembled.
     """
     key = operator_key(case)
     if key not in pairs:
-        check_memory(case, comm.size, "case")
-        check_mesh(case, "case")
+        try:
+            check_memory(case, comm.size, "case")
+            check_mesh(case, "case")
+        except InputError as error:
+            raise ComputationError(str(error)) from error
         while len(pairs) >= _MOST_PAIRS:
             del pairs[next(iter(pairs))]
         with together(comm):
@@ -158,6 +164,8 @@ def compute(
         try:
             pair = pair_of(chosen[0], pairs, comm)
             done = computed(chosen, [pair] * len(chosen), comm)
+        except InputError:
+            raise
         except Exception as error:  # the same for all of them
             errors |= dict.fromkeys(numbers, error)
             continue

@@ -10,7 +10,7 @@ import logging
 import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
 from ringwear_par.files.folders import refuse_others
 from ringwear_par.files.writing import check_writable, unwritable
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
@@ -157,32 +157,36 @@ class _Sweep:
             progress = Progress(len(self._blocks), self._begun)
         error: RingwearError | None = None
         pairs: dict[Hashable, ContactPair] = {}
-        free = free_blocks(self._blocks, self._share, self._shares)
-        while most is None or most > 0:
-            try:
-                block = on_first_rank(team, lambda: next(free, None))
-                if block is None:
+        with closing(free_blocks(self._blocks, self._share, self._shares)) as free:
+            while most is None or most > 0:
+                try:
+                    block = on_first_rank(team, lambda: next(free, None))
+                    if block is None:
+                        break
+                    started = time.perf_counter()
+                    arrays = compute(self._study, block, pairs, team)
+                    on_first_rank(team, partial(write_block, block.path, arrays))
+                except RingwearError as failure:  # of the disk: others go on as long as they can
+                    error = failure
                     break
-                started = time.perf_counter()
-                arrays = compute(self._study, block, pairs, team)
-                on_first_rank(team, partial(write_block, block.path, arrays))
-            except RingwearError as failure:  # of the disk: other ranks go on as long as they can
-                error = failure
-                break
-            if team.rank == 0:
-                self._computed += len(block.numbers)
-            self._busy += time.perf_counter() - started
-            most = None if most is None else most - 1
-            if progress is not None and progress.is_due():
-                there, spent = self._there(), time.perf_counter() - self._started
-                left = (len(self._blocks) - there) * spent / max(there - self._begun, 1)
-                text = "%d of %d blocks are there, %s left"
-                progress.show(there, text, there, len(self._blocks), duration(left))
+                if team.rank == 0:
+                    self._computed += len(block.numbers)
+                self._busy += time.perf_counter() - started
+                most = None if most is None else most - 1
+                if progress is not None and progress.is_due():
+                    self._show(progress)
         if progress is not None:
             progress.close()
         errors = [failure for failure in comm.allgather(error) if failure is not None]
         if errors:
             raise self._incomplete(errors[0])
+
+    def _show(self, progress: Progress) -> None:
+        """Show how many blocks are there, and how long the others take."""
+        there, spent = self._there(), time.perf_counter() - self._started
+        left = (len(self._blocks) - there) * spent / max(there - self._begun, 1)
+        text = "%d of %d blocks are there, %s left"
+        progress.show(there, text, there, len(self._blocks), duration(left))
 
     def _incomplete(self, error: RingwearError) -> RingwearError:
         """Return the error of a sweep that ends too soon, the same on all ranks."""
@@ -216,10 +220,9 @@ class _Sweep:
                 return False
             except (OSError, UnreadableError) as error:
                 raise self._incomplete(as_ours(error)) from error
-            if not any(
-                map(has_failed, (block.path for block in blocks))
-            ):  # else --retry-failed needs them
+            if not any(has_failed(block.path) for block in blocks):  # --retry-failed needs these
                 done = folder.with_name(f".{FOLDER}")
+                shutil.rmtree(done, ignore_errors=True)
                 folder.rename(done)  # in one step, for processes that still look
                 shutil.rmtree(done, ignore_errors=True)
         return True
@@ -227,7 +230,8 @@ class _Sweep:
     def estimate(self) -> str:
         """Compute the first free block, which stays, and return about how long the others take."""
         blocks, study = self._blocks, self._study
-        lines = [f"{len(study)} cases in {len(blocks)} blocks, {self._begun} of them there"]
+        cases, count = counted(len(study), "case"), counted(len(blocks), "block")
+        lines = [f"{cases} in {count}, {self._begun} there already"]
         merged = on_first_rank(self._comm, lambda: is_merged(self._folder, blocks))
         if not merged:
             self._compute(most=1 if self._share == 0 else 0)
@@ -238,9 +242,9 @@ class _Sweep:
             size = path.stat().st_size / done * len(study)
             lines += [
                 f"one block of {done} cases took {duration(seconds)}; it stays in {path.parent}",
-                f"the other {left} blocks on {self._comm.size} rank(s) in {teams} team(s): about "
+                f"the other {counted(left, 'block')} on {counted(self._comm.size, 'rank')}: about "
                 f"{duration(float(f'{seconds * -(-left // teams):.2g}'))}, "
-                f"{1e-6 * peak_memory():.0f} MB of memory a rank, {2e-6 * size:.3g} MB on disk",
+                f"{1e-6 * peak_memory():.0f} MB of memory a rank, {1.4e-6 * size:.3g} MB on disk",
             ]
         return "\n".join(lines)
 

@@ -126,6 +126,24 @@ def test_a_sweep_keeps_its_other_cases(comm, mpi_tmp_path):
         comm.Barrier()
 
 
+def test_a_disk_that_fails_one_rank(comm, mpi_tmp_path, monkeypatch):
+    """The others take over its blocks; then the same command merges."""
+
+    def full(*_):
+        raise OSError(28, "No space left on device", "block.h5")
+
+    study = {"case": str(PAPER), "vary": {key: {"values": [v]} for key, v in SMALL.items()}}
+    study["vary"]["load.pressure"] = {"values": [50, 60, 70, 80, 90]}
+    with monkeypatch.context() as patch:
+        patch.setattr("ringwear_par.studies.together.MOST", 1)
+        if comm.rank == comm.size - 1:
+            patch.setattr("ringwear_par.studies.sweep.write_block", full)
+        with pytest.raises(rw.ComputationError, match="No space left on device; 5 of 5 blocks"):
+            rw.sweep(study, mpi_tmp_path / "out", comm)
+        comm.Barrier()
+        assert rw.sweep(study, mpi_tmp_path / "out", comm).done == 5
+
+
 def test_the_world_is_what_is_meant_without_a_communicator():
     """As in PETSc."""
     case = rw.read_case(PAPER, SMALL)

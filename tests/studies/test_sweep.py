@@ -247,7 +247,7 @@ def test_a_bad_corner_is_a_failed_case(write, tmp_path, comm):
 def test_a_dry_run_computes_a_block_and_keeps_it(write, tmp_path, comm, capsys):
     sweep.run_sweep(write(STUDY), tmp_path / "out", comm, dry_run=True)
     output = capsys.readouterr().out
-    assert "12 cases in 1 blocks" in output
+    assert "12 cases in 1 block" in output
     assert "one block of 12 cases took" in output
     assert rw.sweep(write(STUDY), tmp_path / "out", comm).computed == 0
 
