@@ -19,9 +19,8 @@ from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.folder import FILES
 from ringwear_par.prediction.known import check_predicted, doubts_of, fit_knowledge
-from ringwear_par.prediction.prediction import QUANTITIES, Prediction, read_depth
+from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
 

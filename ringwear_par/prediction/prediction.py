@@ -1,9 +1,10 @@
 """A prediction: histories of a case at draws of what a fit knows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,15 @@ from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible
+from ringwear_par.files.folders import (
+    BAND,
+    DRAWS,
+    PREDICTION,
+    json_bytes,
+    new_files,
+    write_contents,
+)  # fmt: skip
+from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Outcome
 from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable, to_dataset
@@ -19,7 +29,11 @@ from ringwear_par.version import versions
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
+FILES = (DRAWS, BAND, PREDICTION)
+#: inches of the figure
+_SIZE = (4.6, 3.4)
 #: histories that are predicted
 QUANTITIES = (
     "penetration", "approach", "force", "torque", "worn_volume_lower", "worn_volume_upper",
@@ -89,10 +103,6 @@ def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
 @dataclass(frozen=True, eq=False)
 class Prediction(Outcome):
     """Histories of a case, one a draw."""
-
-    functions: ClassVar = dict.fromkeys(
-        ("summary", "to_dict", "plot", "save"), "ringwear_par.prediction.folder"
-    )
 
     #: "next specimen", "material" or the name of a specimen; what messages call the fit
     of: str
@@ -178,6 +188,65 @@ class Prediction(Outcome):
                 name, meaning = f"process.wear.{body}", "size of the random wear"
                 variables.append((Variable(name, ("draw",), "mm", meaning), sizes))
         return variables
+
+    def summary(self) -> str:
+        """Return it in a few lines, as the command prints it."""
+        from ringwear_par.prediction.folder import summary
+
+        return summary(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of prediction.json."""
+        depth = self.depth
+        return {
+            "of": self.of,
+            "whose": self.whose,
+            "fit": self.fit,
+            "draws": len(self.values),
+            "failed": self.failed,
+            "seed": self.seed,
+            "keys": dict(self.keys),
+            "drawn_from": list(self.sources),
+            "probabilities": list(PROBABILITIES),
+            "time": self.time.tolist(),
+            "quantiles": {
+                name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}
+                for name in self.histories
+            },
+            "depth": None if depth is None else {"depth": depth, **self.time_to(depth)._asdict()},
+            "summary": self.summary().splitlines(),
+            "doubts": [doubt.to_dict() for doubt in self.doubts],
+            "case": self.case,
+            "versions": dict(self.versions),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the files of its folder; prediction.json, which says that it is whole, the last.
+
+        Raises
+        ------
+        InputError, ComputationError : the folder or the disk.
+        """
+        from ringwear_par.pictures.style import picture
+
+        folder = Path(path)
+        with new_files(folder, FILES, "predict"):
+            with atomic_hdf5(folder / DRAWS) as file:
+                file.attrs.update(self.attributes)
+                for variable, values in self.variables():
+                    write_variable(file, variable, values)
+            contents: dict[str, Callable[[], bytes | None]] = {
+                BAND: lambda: picture(self.plot, str(folder / BAND)),
+                PREDICTION: lambda: json_bytes(self.to_dict()),
+            }
+            write_contents(folder, contents)
+
+    def plot(self) -> "Figure":
+        """Return the figure of its band."""
+        from ringwear_par.pictures.matplotlib import panel_figure
+        from ringwear_par.prediction.folder import panel
+
+        return panel_figure([[panel(self.time, self.quantiles(), self.whose)]], _SIZE)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all draws over (draw, step).

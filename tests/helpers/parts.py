@@ -52,7 +52,7 @@ PLACES = {
     "results.execution.run": "run_case",
     "results.execution.stop_signals": "StopSignals",
     "results.key_numbers": "key_numbers",
-    "results.storage.result_files": "restored",
+    "results.files": "restored",
     "results.variables": "D_HISTORIES D_PROFILES HISTORIES PROFILES",
     "schedules": "Table bends in_time integral",
     "studies.execution.batches": "computed",

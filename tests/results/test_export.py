@@ -11,8 +11,8 @@ from paths import CASES
 from vtkhdf import last_state
 
 from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.files import open_result
 from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_files import open_result
 
 SMALL = ["mesh.contact_elements=16"]
 

@@ -11,8 +11,8 @@ from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.files import open_result
 from ringwear_par.results.key_numbers import instants
-from ringwear_par.results.storage.result_files import open_result
 
 
 @pytest.fixture(scope="module")
@@ -191,8 +191,8 @@ def test_times_are_as_round_as_they_stay_apart():
 
 def test_a_history_of_one_state_has_no_rate(runs):
     whole = open_result(runs[1])
-    first = {name: values[:1] for name, values in whole.histories.items()}
-    begun = replace(whole, histories=first, step=whole.step[:1], steps_made=whole.steps_made[:1])
+    first = {name: values[:1] for name, values in {**whole.histories, "step": whole.step}.items()}
+    begun = replace(whole, data={**whole.data, **first})
     figure = plot(begun, "rate,pv,volume")
     assert [len(axes.lines) for axes in figure.axes] == [0, 1, 1]
 

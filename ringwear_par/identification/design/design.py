@@ -10,14 +10,14 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import BARS, DESIGN, NEXT, check_folder
+from ringwear_par.files.folders import BARS, DESIGN, NEXT, check_folder, json_bytes, write_outcome
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Criterion, Problem
@@ -35,9 +35,13 @@ from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Source = Path | str | Mapping[str, Any]
-_FOLDER = "ringwear_par.identification.design.design_folder"
 _MOST_CANDIDATES = 2000
+#: inches: width and height of a panel, height of a test of a design in bars
+_WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
 #: designs that are listed; combinations whose scores are computed together
 _LISTED, _AT_ONCE = 10, 50_000
 #: share of the sd that bounds alone leave, below which a key of which nothing else was known is
@@ -63,8 +67,6 @@ class Design:
 class DesignResult(Outcome):
     """The result of ``design``: all tests that could be made, and what any of them would tell."""
 
-    functions: ClassVar = dict.fromkeys(("summary", "to_dict", "save", "plot"), _FOLDER)
-
     #: the fit
     problem: Problem
     #: what is known before
@@ -88,6 +90,40 @@ class DesignResult(Outcome):
     def __repr__(self) -> str:
         tests = " + ".join(str(self.candidates[i].to_dict()) for i in self.designs[0].tests)
         return f"<DesignResult: {tests}>"
+
+    def summary(self) -> str:
+        """Return it in a few lines, as the command prints it."""
+        from ringwear_par.identification.design.design_folder import summary
+
+        return summary(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of design.json."""
+        from ringwear_par.identification.design.design_folder import to_dict
+
+        return to_dict(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the files of its folder, see ``Outcome.save``."""
+        from ringwear_par.identification.design.design_folder import next_tests
+        from ringwear_par.pictures.style import picture
+
+        contents = {
+            BARS: lambda: picture(self.plot, str(Path(path) / BARS)),
+            NEXT: lambda: next_tests(self).encode(),
+            DESIGN: lambda: json_bytes(self.to_dict()),
+        }
+        write_outcome(Path(path), "fit", contents)
+
+    def plot(self) -> "Figure":
+        """Return bars of the predicted standard deviations of the best designs."""
+        from ringwear_par.pictures.key_panels import design_panels
+        from ringwear_par.pictures.matplotlib import panel_figure
+
+        outcome = self.to_dict()
+        panels = design_panels(outcome)
+        lines = sum(len(entry["experiments"]) for entry in outcome["designs"])
+        return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
 
     @property
     def today(self) -> Design:

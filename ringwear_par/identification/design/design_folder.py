@@ -1,18 +1,15 @@
-"""What is written and said of a design: its numbers, bars of its best tests, these as tables."""
+"""What is written and said of a design: its numbers, and its best tests as tables."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ringwear_par.cases.files.keys import flatten
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor, has_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
-from ringwear_par.files.folders import BARS, DESIGN, NEXT, json_bytes, write_outcome
 from ringwear_par.files.text import toml_value
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
 from ringwear_par.identification.definition.problem import DesignSpace, Series
@@ -24,35 +21,12 @@ from ringwear_par.identification.design.candidates import (
     case_keys,
 )
 from ringwear_par.identification.design.design import Design, DesignResult
-from ringwear_par.pictures.key_panels import design_panels
-from ringwear_par.pictures.matplotlib import panel_figure
-from ringwear_par.pictures.style import picture
 from ringwear_par.results.key_numbers import time_words
 
 _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
              "A": "smallest mean variance over the widths of the bounds (A)"}  # fmt: skip
-#: inches: width and height of a panel, height of a test of a design in bars
-_WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
 #: number of designs that a summary shows; factor on an sd that is nearly the same
 _LISTED, _NEARLY = 5, 1.1
-
-
-def save(found: DesignResult, folder: Path) -> None:
-    """Write all three files, see ``write_outcome``."""
-    contents = {
-        BARS: lambda: picture(found.plot, str(folder / BARS)),
-        NEXT: lambda: next_tests(found).encode(),
-        DESIGN: lambda: json_bytes(found.to_dict()),
-    }
-    write_outcome(folder, "fit", contents)
-
-
-def plot(found: DesignResult) -> Figure:
-    """Return bars of the predicted standard deviations of the best designs."""
-    outcome = to_dict(found)
-    panels = design_panels(outcome)
-    lines = sum(len(entry["experiments"]) for entry in outcome["designs"])
-    return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
 
 
 def to_dict(found: DesignResult) -> dict[str, Any]:

@@ -26,9 +26,14 @@ from ringwear_par.results.execution.attributes import (
     wall_times,
 )
 from ringwear_par.results.execution.stored_states import LastStates, StoredRows
+from ringwear_par.results.fields import (
+    boundary_arrays,
+    point_columns,
+    stress_arrays,
+    stress_rows,
+)
 from ringwear_par.results.laboratory_numbers import end_numbers
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
-from ringwear_par.results.storage.result_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
@@ -228,20 +233,26 @@ class Recorder:
             parts = {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
             return {name: np.require(values, requirements="W") for name, values in parts.items()}
 
+        data: dict[str, Any] = {"step": steps, "line/edges": case.line.edges}
+        numbers = np.arange(len(steps))
+        if case.output.times and not np.array_equal(steps, numbers):
+            data |= {"step": numbers, "steps_made": steps}
+        data |= {name: values[rows] for name, values in columns.histories.items()}
+        data |= part(columns.profiles) | part(columns.layers) | part(columns.derivatives)
+        if self._rows.parameters:
+            data["parameter"] = [*self._rows.parameters]
+            data["parameter_unit"] = [*self._rows.parameters.values()]
+        if (stresses := self._stresses.history(number)) is not None:
+            data |= stress_arrays(stresses)
+        data |= boundary_arrays(self._boundary.states)
         return Result(
-            case.line,
-            np.arange(len(steps)) if case.output.times else steps,
-            steps,
-            {name: values[rows] for name, values in columns.histories.items()},
-            part(columns.profiles),
-            tuple(self._boundary.states),
+            data,
             {
                 **about,
                 **{name: float(time) for name, time in through.items()},
                 "status": "complete" if last.finished[place] else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                "begun_by": self._before.get("begun_by", about["version"]),
                 **self.seconds(),
                 **balance_attributes(balances),
                 "symmetry_defect": float(last.symmetry_defect[place]),
@@ -249,10 +260,6 @@ class Recorder:
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
             Checkpoint(last.start, place, int(self._rows.pending[number]), worst),
-            parameters=self._rows.parameters,
-            derivatives=part(columns.derivatives),
-            layers=part(columns.layers),
-            stress=self._stresses.history(number),
         )  # fmt: skip
 
     def kernel_evaluations(self) -> int:

@@ -23,10 +23,9 @@ from ringwear_par.results.execution.preparation import Figure, prepare
 from ringwear_par.results.execution.progress import Progress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stop_signals import StopSignals, name_of
+from ringwear_par.results.files import restored, write_result
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.result_files import restored, write_result
 from ringwear_par.results.summary import labelled
-from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 
@@ -129,8 +128,9 @@ def run_case(
     if comm.rank == 0:
         warn_of_threads(comm.size)
     recorder = Recorder([case], comm, before)
-    if before is not None and comm.rank == 0:
-        _log_continuation(output, recorder, before)
+    if (start := recorder.start) is not None and comm.rank == 0:
+        steps, reached = start.progress.steps[0], start.state.time[0]
+        log.info("continuing %s after step %d (%g s)", output, steps, reached)
     file = _ResultFile(output, recorder, comm)
     signals = StopSignals()
     watch = CheckpointWatch(signals, file.save, comm)
@@ -161,20 +161,6 @@ def run_case(
                     "same command with --restart continues"
                 )
     return _draw(output, figure, comm)
-
-
-def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
-    """Log where a run goes on, and whether another version began it."""
-    start, version = recorder.start, before.attributes["version"]
-    assert start is not None
-    log.info(
-        "continuing %s after step %d (%g s)", output, start.progress.steps[0], start.state.time[0]
-    )
-    if version != __version__:
-        log.warning(
-            "%s was computed so far by version %s, this is %s: it keeps both in one history "
-            "(attribute begun_by)", output, version, __version__,
-        )  # fmt: skip
 
 
 class _ResultFile:

@@ -19,6 +19,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import check_writable
+from ringwear_par.results.files import result_of
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
 from ringwear_par.results.laboratory_numbers import (
     LABORATORY_NUMBERS,
@@ -26,7 +27,6 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_numbers,
 )
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.results.storage.vtkhdf import (
     contours,
     interface_cells,

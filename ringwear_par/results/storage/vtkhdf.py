@@ -20,7 +20,7 @@ from ringwear_par.elasticity.stress.fields import (
     max_shear,
     mises,
 )
-from ringwear_par.results.storage.hdf5 import atomic_hdf5
+from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.subsurface import Interface
 
 _VERSION = (2, 0)

@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.errors import InputError, RingwearError
-from ringwear_par.results.storage.hdf5 import UnreadableError
+from ringwear_par.results.hdf5 import UnreadableError
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.summary import Summary
 from ringwear_par.studies.storage.blocks import DamagedError

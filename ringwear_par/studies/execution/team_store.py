@@ -7,9 +7,9 @@ from mpi4py import MPI
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.results.files import open_result, restored, write_result
+from ringwear_par.results.hdf5 import UnreadableError
 from ringwear_par.results.result import HistoryColumns, Result
-from ringwear_par.results.storage.hdf5 import UnreadableError
-from ringwear_par.results.storage.result_files import open_result, restored, write_result
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.execution.plan import CaseSet, Plan
 from ringwear_par.studies.storage.blocks import DAMAGE, Block

@@ -27,8 +27,8 @@ import numpy as np
 from ringwear_par.arrays import IntArray, is_one_number
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.results.hdf5 import UnreadableError
 from ringwear_par.results.result import HistoryColumns
-from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE
 from ringwear_par.studies.storage.stored_variables import FIELDS, shape_of, sizes_of
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.results.storage.result_variables import side_words
+from ringwear_par.results.fields import side_words
 from ringwear_par.results.variables import EDGE_ELEMENT, POINT_SIDE, edge_elements
 from ringwear_par.studies.storage.blocks import BY_STATE, CaseBlock
 from ringwear_par.studies.storage.case_variables import Chunks

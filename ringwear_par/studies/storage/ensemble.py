@@ -13,7 +13,7 @@ from ringwear_par.cases.schema import BY_PATH, base_unit
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_toml
-from ringwear_par.results.storage.hdf5 import (
+from ringwear_par.results.hdf5 import (
     find_array,
     find_texts,
     read_array,

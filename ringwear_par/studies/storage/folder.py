@@ -18,7 +18,7 @@ import numpy as np
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.writing import check_writable, open_or_make, unwritable
-from ringwear_par.results.storage.hdf5 import UnreadableError
+from ringwear_par.results.hdf5 import UnreadableError
 from ringwear_par.studies.storage import shards
 from ringwear_par.studies.storage.blocks import INCOMPLETE, CaseBlock
 from ringwear_par.studies.storage.case_index import CaseIndex

@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 
 from ringwear_par.errors import InputError, counted
-from ringwear_par.results.storage.hdf5 import (
+from ringwear_par.results.fields import side_numbers
+from ringwear_par.results.hdf5 import (
     UnreadableError,
     find_array,
     find_words,
@@ -20,7 +21,6 @@ from ringwear_par.results.storage.hdf5 import (
     read_words,
     reading,
 )
-from ringwear_par.results.storage.result_variables import side_numbers
 from ringwear_par.results.variables import POINT_SIDE
 from ringwear_par.studies.storage.blocks import (
     BY_CASE,

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import results_of_tasks
-from ringwear_par.results.storage.hdf5 import atomic_hdf5
+from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     HISTORIES,
