@@ -17,10 +17,10 @@ from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
 from ringwear_par.prediction.predict import predict as predict
 from ringwear_par.prediction.prediction import Prediction as Prediction
 from ringwear_par.reports.report import report as report
-from ringwear_par.results.execution.simulate import simulate as simulate
 from ringwear_par.results.files import open_result as open_result
 from ringwear_par.results.result import FailedResult as FailedResult
 from ringwear_par.results.result import Result as Result
+from ringwear_par.results.simulate import simulate as simulate
 from ringwear_par.studies.analysis.surrogate import surrogate as surrogate
 from ringwear_par.studies.definition.study import Study as Study
 from ringwear_par.studies.definition.study import read_study as read_study

@@ -31,7 +31,7 @@ from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
 from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.report import check_page, write_page
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)

@@ -24,8 +24,8 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_numbers,
     schedule_of,
 )
+from ringwear_par.results.layers import layer_ends_near_wear
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import layer_ends_near_wear
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time
 

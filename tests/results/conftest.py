@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.results.execution import run
+from ringwear_par.results import run
 
 
 @pytest.fixture

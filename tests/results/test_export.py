@@ -10,9 +10,9 @@ from parts import main, write_xlsx
 from paths import CASES
 from vtkhdf import last_state
 
-from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.export import export
 from ringwear_par.results.files import open_result
-from ringwear_par.results.storage.export import export
+from ringwear_par.results.run import run_case
 
 SMALL = ["mesh.contact_elements=16"]
 

@@ -8,7 +8,7 @@ from parts import SIDES, mises
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.results.storage.export import export
+from ringwear_par.results.export import export
 
 HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
 SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}

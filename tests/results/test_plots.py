@@ -10,9 +10,9 @@ from parts import plot, plot_stored
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.files import open_result
 from ringwear_par.results.key_numbers import instants
+from ringwear_par.results.run import run_case
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 from paths import CASES, PAPER
 from stored import assert_same
 
-from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.files import open_result
+from ringwear_par.results.run import run_case
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 ADAPTIVE = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50"]

@@ -6,9 +6,9 @@ from parts import FigureFile
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.results.execution import run
-from ringwear_par.results.execution.run import run_case
+from ringwear_par.results import run
 from ringwear_par.results.files import open_result
+from ringwear_par.results.run import run_case
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 #: wears half of the lower body off after some steps

@@ -9,7 +9,7 @@ from parts import COMPONENTS, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.results.storage.export import export
+from ringwear_par.results.export import export
 
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,

@@ -31,8 +31,8 @@ from ringwear_par.identification.design.candidates import (
 from ringwear_par.identification.design.information import Before, before_tests, informations
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.result import Outcome
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:

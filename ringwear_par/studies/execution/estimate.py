@@ -13,8 +13,8 @@ from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.execution.progress import duration
-from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.progress import duration
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.studies.execution.batches import PairResources
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.single_cases import is_batchable

@@ -10,10 +10,10 @@ from ringwear_par.errors import ComputationError, InputError, UnfitError
 from ringwear_par.history.lockstep import must_run_alone
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer
-from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.run import CheckpointWatch
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns
+from ringwear_par.results.run import CheckpointWatch
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.studies.execution.batches import PairResources
 from ringwear_par.studies.execution.team_store import StorageError, TeamStore
 

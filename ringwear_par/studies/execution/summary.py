@@ -10,8 +10,8 @@ from mpi4py import MPI
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.execution.progress import duration
-from ringwear_par.results.execution.stop_signals import name_of
+from ringwear_par.results.progress import duration
+from ringwear_par.results.signals import name_of
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE, count_flags
 

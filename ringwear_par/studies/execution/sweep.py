@@ -23,8 +23,8 @@ from ringwear_par.parallel import (
     warn_of_threads,
     with_help_of_all,
 )
-from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.progress import SweepProgress
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.batches import block_size
 from ringwear_par.studies.execution.case_queue import SharedQueue

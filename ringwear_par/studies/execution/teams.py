@@ -8,9 +8,9 @@ from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import together
-from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.progress import SweepProgress
 from ringwear_par.results.result import HistoryColumns
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.studies.execution.batches import PairResources, computed, failed_columns
 from ringwear_par.studies.execution.case_queue import SharedQueue, Stretch
 from ringwear_par.studies.execution.pairs import Pairs, pair_of

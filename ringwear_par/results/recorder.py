@@ -19,13 +19,12 @@ from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
-from ringwear_par.results.execution.attributes import (
+from ringwear_par.results.attributes import (
     assembly_cost,
     case_attributes,
     times_through,
     wall_times,
 )
-from ringwear_par.results.execution.stored_states import LastStates, StoredRows
 from ringwear_par.results.fields import (
     boundary_arrays,
     point_columns,
@@ -34,6 +33,7 @@ from ringwear_par.results.fields import (
 )
 from ringwear_par.results.laboratory_numbers import end_numbers
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
+from ringwear_par.results.rows import LastStates, StoredRows
 from ringwear_par.results.warnings import Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})

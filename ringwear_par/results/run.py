@@ -1,12 +1,10 @@
 """``ringwear run``: a case from its file to its result file, gone on with where it was stopped."""
 
 import logging
-import os
 import shlex
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
-from functools import partial
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +15,14 @@ from ringwear_par.cases.plausible import implausible_numbers
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError, counted
 from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import is_at_end, simulate_one
-from ringwear_par.history.snapshots import Observer, Snapshot
+from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
-from ringwear_par.results.execution.preparation import Figure, prepare
-from ringwear_par.results.execution.progress import Progress
-from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.stop_signals import StopSignals, name_of
 from ringwear_par.results.files import restored, write_result
+from ringwear_par.results.preparation import Figure, prepare
+from ringwear_par.results.progress import Progress
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
+from ringwear_par.results.signals import StopSignals, name_of
 from ringwear_par.results.summary import labelled
 
 log = logging.getLogger(__name__)
@@ -46,45 +44,29 @@ class CheckpointWatch:
     def __init__(self, signals: StopSignals, save: Callable[[], object], comm: MPI.Comm) -> None:
         self._signals, self._save, self._comm = signals, save, comm
         self._saved = time.perf_counter()
-        #: why the last checkpoint was not written, "" if it was
-        self._lacking = ""
+        #: whether the last checkpoint was written
+        self._written = True
         #: the signal that the ranks agreed to stop for, or 0
         self.agreed = 0
-
-    @property
-    def signal_name(self) -> str:
-        """Name of the signal that stopped the history."""
-        return name_of(self.agreed)
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Return whether to stop after this state. Collective."""
         if snapshot.passing or snapshot.step is None:
             return False
-        received = self._signals.received
         due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
-        if self._comm.size > 1:
-            request = np.array([received, due], dtype=np.int64)
-            self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
-            received, due = int(request[0]), bool(request[1])
-        self.agreed = received
-        if due and not received and not snapshot.finished.all():
-            self._write_checkpoint()
-        return received != 0
-
-    def _write_checkpoint(self) -> None:
-        """Write a checkpoint; tell once why it cannot be, and once that it can again."""
-        lacking = ""
-        try:
-            self._save()
-        except ComputationError as error:
-            lacking = str(error)
-        if lacking != self._lacking and self._comm.rank == 0:
-            if lacking:
-                log.warning("checkpoint not written, going on: %s", lacking)
-            else:
-                log.info("checkpoints are written again")
-        self._lacking = lacking
-        self._saved = time.perf_counter()
+        request = np.array([self._signals.received, due], dtype=np.int64)
+        self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
+        self.agreed = int(request[0])
+        if request[1] and not self.agreed and not snapshot.finished.all():
+            try:
+                self._save()
+                self._written = True
+            except ComputationError as error:
+                if self._written and self._comm.rank == 0:
+                    log.warning("checkpoint not written, going on: %s", error)
+                self._written = False
+            self._saved = time.perf_counter()
+        return self.agreed != 0
 
 
 def run_case(
@@ -115,50 +97,47 @@ def run_case(
     InputError : the case, the options or the output, before any work and with nothing written.
     ComputationError : a step failed, the run was stopped, or the result could not be written.
     """
-    started = time.perf_counter()
+    first = comm.rank == 0
     case, before = on_first_rank(
         comm, lambda: prepare(path, output, overrides, restart, overwrite, figure, comm.size)
     )
     if before is not None and is_at_end(case, restored(before)):
-        if comm.rank == 0:
+        if first:
             limit = before.attributes.get("stopped_by")
             early = f" since it reached {limit}, which may grow" if limit else ""
             log.info("%s is complete%s: nothing to compute", output, early)
         return _draw(output, figure, comm)
-    if comm.rank == 0:
+    if first:
         warn_of_threads(comm.size)
     recorder = Recorder([case], comm, before)
-    if (start := recorder.start) is not None and comm.rank == 0:
+    if (start := recorder.start) is not None and first:
         steps, reached = start.progress.steps[0], start.state.time[0]
         log.info("continuing %s after step %d (%g s)", output, steps, reached)
-    file = _ResultFile(output, recorder, comm)
-    signals = StopSignals()
+    file, signals = _ResultFile(output, recorder, comm), StopSignals()
     watch = CheckpointWatch(signals, file.save, comm)
     with ExitStack() as handlers:
 
         def note_signals(snapshot: Snapshot) -> bool:
             """Stop after a step, not at once, as soon as there is a state: an observer."""
             if not signals.noted:
-                if before is None and not overwrite and comm.rank == 0:
+                if before is None and not overwrite and first:
                     announce_replacement(output)
                 handlers.enter_context(signals)
             return False
 
-        _step(case, path, file, [recorder, note_signals, watch])
+        _step(case, path, file, [note_signals, watch])
         result = file.save_at_end()
-        if comm.rank == 0:
-            lines = [result.summary(verbose=verbose)]
-            if verbose:
-                start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
-                lines.append(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
-            print("\n".join([*lines, *_closing_lines(output, result, recorder.finished)]))
+        if first:
+            print("\n".join(_lines(result, output, recorder, verbose)))
         last = recorder.last
         with together(comm):
             if last is not None and not recorder.finished:
+                steps, reached = int(last.progress.steps[0]), float(last.state.time[0])
+                how_far = f"(at {reached:g} of {case.time.end:g} s)"
                 raise ComputationError(
-                    f"stopped by {watch.signal_name} after step {last.progress.steps[0]} "
-                    f"{_progress(case, float(last.state.time[0]))}; {output} holds them, and the "
-                    "same command with --restart continues"
+                    f"stopped by {name_of(watch.agreed)} after step {steps} "
+                    f"{how_far if case.time.adaptive else f'of {case.time.steps}'}; {output} holds "
+                    "them, and the same command with --restart continues"
                 )
     return _draw(output, figure, comm)
 
@@ -195,26 +174,38 @@ class _ResultFile:
             raise ComputationError(f"{before}{failure}; {stored}") from failure
 
 
-def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) -> None:
+def _step(
+    case: Case, path: Path, file: _ResultFile, observers: Sequence[Callable[[Snapshot], bool]]
+) -> None:
     """Step a history to its end, or until an observer stops it. Collective.
 
     Where a step fails, the steps before it are in the file.
     """
-    recorder, comm = file.recorder, file.comm
+    recorder, comm, end = file.recorder, file.comm, case.time.end
     with ExitStack() as resources:
+        observers = [recorder, *observers]
         if comm.rank == 0:
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
-            progress = resources.enter_context(closing(Progress(case.time.end, since)))
-            observers.append(partial(_show, progress, case.time.end))
+            progress = resources.enter_context(closing(Progress(end, since)))
+
+            def show(snapshot: Snapshot) -> bool:
+                time = float(snapshot.state.time[0])
+                progress.show(
+                    time, "step %d, time %.6g of %.6g s, approach %.6f mm",
+                    snapshot.progress.steps[0], time, end, snapshot.state.contact.approach[0],
+                )  # fmt: skip
+                return False
+
+            observers.append(show)
         try:
-            with _logging_implausible_numbers(case, path, comm):
-                simulate_one(case, comm, start=recorder.start, observers=observers)
-        except UnfitError as error:
-            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-        except InputError:
-            raise
+            simulate_one(case, comm, start=recorder.start, observers=observers)
         except RingwearError as error:
-            if recorder.last is None or recorder.last.step is None:
+            for warning in implausible_numbers(case) if comm.rank == 0 else ():
+                if f"{warning.keys[0]} = " not in str(error):
+                    log.warning("%s: %s", path, warning.text)
+            if isinstance(error, UnfitError):
+                raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+            if isinstance(error, InputError) or recorder.last is None or not recorder.last.step:
                 raise
             file.save_at_end(str(error))
             raise ComputationError(
@@ -223,61 +214,21 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
             ) from error
 
 
-def _show(progress: Progress, end: float, snapshot: Snapshot) -> bool:
-    """Show how far a history is: an observer."""
-    time = float(snapshot.state.time[0])
-    progress.show(
-        time, "step %d, time %.6g of %.6g s, approach %.6f mm",
-        snapshot.progress.steps[0], time, end, snapshot.state.contact.approach[0],
-    )  # fmt: skip
-    return False
-
-
-@contextmanager
-def _logging_implausible_numbers(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
-    """Log the implausible numbers of a case that fails, but for those that its error names."""
-    try:
-        yield
-    except RingwearError as error:
-        for warning in implausible_numbers(case) if comm.rank == 0 else ():
-            if f"{warning.keys[0]} = " not in str(error):
-                log.warning("%s: %s", path, warning.text)
-        raise
-
-
-def _progress(case: Case, time: float) -> str:
-    """Return how far a history is."""
-    if case.time.adaptive:
-        return f"(at {time:g} of {case.time.end:g} s)"
-    return f"of {case.time.steps}"
-
-
 def _draw(output: Path, figure: Figure | None, comm: MPI.Comm) -> None:
     if figure is not None:
         on_first_rank(comm, lambda: figure.draw(output))
 
 
-def _closing_lines(output: Path, result: Result, finished: bool) -> list[str]:
-    """Return the lines about the file of a run, and about the command to type next."""
+def _lines(result: Result, output: Path, recorder: Recorder, verbose: bool) -> list[str]:
+    """Return the lines about a run and its file, and about the command to type next."""
+    lines = [result.summary(verbose=verbose)]
+    if verbose:
+        names = ("assembly", "factorisation", "stepping", "output")
+        seconds = recorder.seconds()
+        parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
+        lines.append(f"seconds: {parts} ({recorder.kernel_evaluations()} kernel evaluations)")
     file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
-    after = f"ringwear report {file} -o {page}" if finished else "the same command with --restart"
-    return labelled(
-        [("written", f"{output} ({counted(len(result.step), 'state')})"), ("next", after)]
-    )
-
-
-def _times(seconds: dict[str, float], start_up: float, evaluations: int) -> str:
-    names = ("assembly", "factorisation", "stepping", "output")
-    parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-    work = f"{evaluations} kernel evaluations" if evaluations else "of a stored contact pair"
-    return f"seconds: start-up {start_up:.2f}, {parts} ({work})"
-
-
-def seconds_since_start() -> float:
-    """Return the age of this process, s; 0 where the system does not tell. Not collective."""
-    try:
-        started = float(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
-        uptime = float(Path("/proc/uptime").read_text().split()[0])
-    except (OSError, IndexError, ValueError):
-        return 0.0
-    return uptime - started / os.sysconf("SC_CLK_TCK")
+    report = f"ringwear report {file} -o {page}"
+    after = report if recorder.finished else "the same command with --restart"
+    written = f"{output} ({counted(len(result.step), 'state')})"
+    return [*lines, *labelled([("written", written), ("next", after)])]

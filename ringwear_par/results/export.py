@@ -26,15 +26,8 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_inputs,
     laboratory_numbers,
 )
+from ringwear_par.results.layers import Interface, interfaces_of, stresses
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.vtkhdf import (
-    contours,
-    interface_cells,
-    stress_cells,
-    surfaces,
-    write_vtkhdf,
-)
-from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
@@ -42,6 +35,13 @@ from ringwear_par.results.variables import (
     LAYER_VOLUMES,
     PROFILES,
     Variable,
+)
+from ringwear_par.results.vtkhdf import (
+    contours,
+    interface_cells,
+    stress_cells,
+    surfaces,
+    write_vtkhdf,
 )
 
 _MOST_SEGMENTS = 3600
