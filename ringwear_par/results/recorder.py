@@ -34,7 +34,7 @@ from ringwear_par.results.fields import (
 from ringwear_par.results.laboratory_numbers import end_numbers
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.rows import LastStates, StoredRows
-from ringwear_par.results.warnings import Warnings
+from ringwear_par.results.warnings import INFINITE, Measures, Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
@@ -120,7 +120,7 @@ class Recorder:
         steps, reached = int(self.start.progress.steps[0]), float(self.start.state.time[0])
         stored, finished = before.histories["time"][rows], case.time.finished(steps, reached)
         self._boundary.restore(before.boundary, stored, finished)
-        self._stresses.restore(before.stress, stored, finished, worst["infinite_stress"])
+        self._stresses.restore(before.stress, stored, finished, worst[INFINITE])
         names = [f"wear_{body}" for body in ("lower", "upper")]
         if case.output.profiles == "all" and set(names) <= before.profiles.keys():
             wear = np.array([before.profiles[name] for name in names])
@@ -199,14 +199,17 @@ class Recorder:
         error : why the history cannot go on, "" where it can.
         """
         columns, (warnings,) = self._recorded(_NO_FAILURES)
-        return self._result(0, columns, warnings, error)
+        return self._result(0, columns, warnings, self.warnings.measures(), error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
         columns, warnings = self._recorded(failures)
+        measures = self.warnings.measures()
         return [
-            failures[number] if number in failures else self._result(number, columns, doubts)
+            failures[number]
+            if number in failures
+            else self._result(number, columns, doubts, measures)
             for number, doubts in enumerate(warnings)
         ]
 
@@ -215,13 +218,14 @@ class Recorder:
         number: int,
         columns: HistoryColumns,
         warnings: Sequence[ValidityWarning],
+        measures: Measures,
         error: str = "",
     ) -> Result:
         case, rows = self._cases[number], columns.rows(number)
         last, place = self._last.state(number)
         steps, time_reached = columns.steps[rows], float(last.start.state.time[place])
         through = times_through(case, self._last.through[:, number])
-        worst = self.warnings.worst(np.array([number]))
+        worst = {name: values[:, number].tolist() for name, values in measures.items()}
         about = case_attributes(case, time_reached)
         balances = vars(self._balances.history(number)).copy()
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
