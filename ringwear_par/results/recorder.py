@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
@@ -20,7 +20,6 @@ from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
 from ringwear_par.results.attributes import (
-    assembly_cost,
     case_attributes,
     times_through,
     wall_times,
@@ -155,7 +154,17 @@ class Recorder:
         failed = [number in failures for number in range(count)]
         stops = [() if bad else self._last.stops.get(i, ()) for i, bad in enumerate(failed)]
         warnings = self.warnings.histories(failed)
-        rows = self._rows.columns()
+        rows, whole = self._rows.columns(), times_through(self._cases[0], self._last.through)
+        # cases ask for the same stresses, or for none
+        histories = [self._stresses.history(number) for number in range(count)]
+        times = np.split(rows["histories"]["time"], rows["offsets"][1:-1])
+        stresses = [
+            stress_rows(history, at)
+            for history, at in zip(histories, times, strict=True)
+            if history is not None
+        ]
+        if histories[0] is not None:
+            whole |= {n: np.tile(v, (count, 1)) for n, v in point_columns(histories[0]).items()}
         columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
@@ -166,28 +175,11 @@ class Recorder:
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if bad else "done" for bad in failed),
             reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
-            stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
-            whole=self._single_values(),
+            stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
+            whole=whole,
         )
         numbers = end_numbers(self._cases, columns, self._last.normal_work)
         return replace(columns, whole={**columns.whole, **numbers}), warnings
-
-    def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
-        """Return the stored stresses of all rows; cases ask for the same, or for none."""
-        parts = [
-            stress_rows(history, times[offsets[number] : offsets[number + 1]])
-            for number in range(len(self._cases))
-            if (history := self._stresses.history(number)) is not None
-        ]
-        return {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
-
-    def _single_values(self) -> dict[str, FloatArray]:
-        """Return values of whole histories: times when layers were worn through, stress points."""
-        values = times_through(self._cases[0], self._last.through)
-        if (history := self._stresses.history(0)) is not None:
-            count = len(self._cases)
-            values |= {n: np.tile(v, (count, 1)) for n, v in point_columns(history).items()}
-        return values
 
     # -- results -----------------------------------------------------------------------------------
 
@@ -222,8 +214,8 @@ class Recorder:
         error: str = "",
     ) -> Result:
         case, rows = self._cases[number], columns.rows(number)
-        last, place = self._last.state(number)
-        steps, time_reached = columns.steps[rows], float(last.start.state.time[place])
+        start, place, defect = self._last.state(number)
+        steps, time_reached = columns.steps[rows], float(start.state.time[place])
         through = times_through(case, self._last.through[:, number])
         worst = {name: values[:, number].tolist() for name, values in measures.items()}
         about = case_attributes(case, time_reached)
@@ -233,16 +225,12 @@ class Recorder:
         if number in self._last.stops:
             about["stopped_by"] = " and ".join(self._last.stops[number].values())
 
-        def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-            parts = {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
-            return {name: np.require(values, requirements="W") for name, values in parts.items()}
-
         data: dict[str, Any] = {"step": steps, "line/edges": case.line.edges}
         numbers = np.arange(len(steps))
         if case.output.times and not np.array_equal(steps, numbers):
             data |= {"step": numbers, "steps_made": steps}
-        data |= {name: values[rows] for name, values in columns.histories.items()}
-        data |= part(columns.profiles) | part(columns.layers) | part(columns.derivatives)
+        for table in (columns.histories, columns.profiles, columns.layers, columns.derivatives):
+            data |= {n: self._rows.part(n, column, rows, number) for n, column in table.items()}
         if self._rows.parameters:
             data["parameter"] = [*self._rows.parameters]
             data["parameter_unit"] = [*self._rows.parameters.values()]
@@ -254,21 +242,17 @@ class Recorder:
             {
                 **about,
                 **{name: float(time) for name, time in through.items()},
-                "status": "complete" if last.finished[place] else "incomplete",
+                "status": "complete" if self._last.has_ended(number) else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
                 **self.seconds(),
                 **balance_attributes(balances),
-                "symmetry_defect": float(last.symmetry_defect[place]),
+                "symmetry_defect": defect,
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
-            Checkpoint(last.start, place, int(self._rows.pending[number]), worst),
+            Checkpoint(start, place, int(self._rows.pending[number]), worst),
         )  # fmt: skip
-
-    def kernel_evaluations(self) -> int:
-        """Return how many kernels were evaluated for both bodies, updates included."""
-        return assembly_cost(self._last.physics).kernel_evaluations
 
     def seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.

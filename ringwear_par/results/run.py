@@ -226,7 +226,7 @@ def _lines(result: Result, output: Path, recorder: Recorder, verbose: bool) -> l
         names = ("assembly", "factorisation", "stepping", "output")
         seconds = recorder.seconds()
         parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-        lines.append(f"seconds: {parts} ({recorder.kernel_evaluations()} kernel evaluations)")
+        lines.append(f"seconds: {parts}")
     file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
     report = f"ringwear report {file} -o {page}"
     after = report if recorder.finished else "the same command with --restart"

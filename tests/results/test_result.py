@@ -8,9 +8,8 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from last_states import with_last_pressure
 from mpi4py import MPI
-from parts import HISTORY_PANELS, Stepping
+from parts import HISTORY_PANELS
 from paths import CASES, PAPER
 from stored import assert_same
 
@@ -122,21 +121,6 @@ def test_results_travel_to_other_processes(tmp_path, comm):
     assert again.summary(verbose=True) == result.summary(verbose=True)
 
 
-def test_the_summary_is_of_the_run_and_not_of_the_text(comm):
-    case = rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2})
-    changed = rw.simulate(replace(case, time=Stepping("implicit", 1.0, 5)), comm)
-    assert "5 of 5 implicit steps" in changed.summary(verbose=True)
-    assert changed.case.startswith("# changed in Python")
-
-
-def test_below_the_threshold_nothing_wears():
-    # on 16 elements, contact solutions move by 3e-6 um between steps
-    changes = {"wear.lower.p0": 5000.0, "time.steps": 3, "mesh.contact_elements": 16}
-    summary = rw.simulate(rw.read_case(PAPER, changes), MPI.COMM_SELF).summary()
-    assert "nothing of lower" in summary
-    assert "penetration  0 um" in summary
-
-
 def test_the_summary_has_a_tribologists_numbers():
     """Archard's law: specific wear rate k, rates k p V, hours and grams as they are defined."""
     changes = {
@@ -169,15 +153,6 @@ def test_elements_beside_an_edge_of_contact_are_marked(computed):
     marked = computed("paper.toml", [*few, "output.profiles=last"])[1].to_xarray().edge_element
     assert marked.dims == ("element",)
     assert not marked.any()
-
-
-def test_the_largest_pressure_says_when_it_is_of_an_edge_element(computed):
-    _, result = computed("paper.toml", SMALL)
-    pressure = np.zeros(16)
-    pressure[[4, 5]] = 50.0, 90.0
-    words = "(at the edge of contact, where it may be off by 28 %)"
-    assert words in with_last_pressure(result, pressure).summary(verbose=True)
-    assert words not in result.summary(verbose=True)
 
 
 def test_the_numbers_of_a_run_are_data(computed):

@@ -71,15 +71,6 @@ def test_a_case_file_is_never_overwritten(tmp_path, comm):
     assert path.read_text() == PAPER.read_text()
 
 
-def test_what_makes_an_answer_doubtful_is_stored(tmp_path, comm, capsys):
-    path = tmp_path / "run.h5"
-    keys = [*SMALL, "time.scheme=explicit", "time.step=60", "time.steps=3"]
-    run_case(PAPER, path, keys, comm=comm)
-    (doubt,) = open_result(path).doubts
-    assert "stability limit" in doubt.text
-    assert capsys.readouterr().out.splitlines()[0] == f"warning: {doubt.text}"
-
-
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(tmp_path, comm, monkeypatch):
     """Neither in the file of the failed run, nor after it has been gone on with."""
     whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
@@ -127,15 +118,6 @@ def test_a_run_of_another_version_does_not_go_on(tmp_path, comm, monkeypatch):
         run_case(PAPER, path, SMALL, comm=comm)
     with pytest.raises(rw.InputError, match=r"version 0\.0\.9"):
         run_case(PAPER, path, [*SMALL, "time.steps=25"], comm=comm, restart=True)
-
-
-def test_only_the_steps_and_fields_asked_for(tmp_path, comm):
-    path = tmp_path / "run.h5"
-    run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], comm=comm)
-    data = open_result(path).to_xarray()
-    assert data.step.values.tolist() == data.time.values.tolist() == [0, 8, 16, 20]
-    assert "gap" not in data
-    assert int(data.contact_iterations.sum()) >= 20
 
 
 def test_a_complete_run_is_kept_and_drawn(tmp_path, comm):
