@@ -33,6 +33,7 @@ from ringwear_par.results.fields import (
 from ringwear_par.results.laboratory_numbers import end_numbers
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.rows import LastStates, StoredRows
+from ringwear_par.results.variables import LAYER_ENDS
 from ringwear_par.results.warnings import INFINITE, Measures, Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
@@ -231,6 +232,9 @@ class Recorder:
             data |= {"step": numbers, "steps_made": steps}
         for table in (columns.histories, columns.profiles, columns.layers, columns.derivatives):
             data |= {n: self._rows.part(n, column, rows, number) for n, column in table.items()}
+        for i, name in enumerate(LAYER_ENDS):
+            if case.rings[i].layers:
+                data[name] = case.layer_ends(i)
         if self._rows.parameters:
             data["parameter"] = [*self._rows.parameters]
             data["parameter_unit"] = [*self._rows.parameters.values()]

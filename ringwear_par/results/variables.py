@@ -188,6 +188,17 @@ LAYER_VOLUMES = _of_both(
     "worn_volume_{}_layers", ("step", "layer"), "mm3",
     "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
+#: along the contact line, the same at all states
+LAYER_ENDS = variable_table(
+    *(
+        Variable(
+            f"layer_end_{body}", (f"interface_{body}", "element"), "mm",
+            f"depth of the end of each layer of the {body} ring below its unworn face, along the "
+            "axis",
+        )
+        for body in BODIES
+    )
+)  # fmt: skip
 #: of a history, s; an attribute of its file
 TIMES_THROUGH = _of_both(
     "time_through_{}", (), "s",
@@ -387,7 +398,7 @@ VARIABLES = {
     "line/edge": EDGE, "line/edges": EDGES,
     "checkpoint/state": axis("state", "state that the history goes on from, as an .npz file"),
     **LINE, **HISTORIES, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **LAYERS, **DERIVATIVES, **STRESSES,
+    **LAYERS, **LAYER_ENDS, **DERIVATIVES, **STRESSES,
     **_boundary(BODIES[0]), **_boundary(BODIES[1]),
 }  # fmt: skip
 #: coordinates that are no dimensions
