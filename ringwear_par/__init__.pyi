@@ -22,12 +22,12 @@ from ringwear_par.results.result import FailedResult as FailedResult
 from ringwear_par.results.result import Result as Result
 from ringwear_par.results.simulate import simulate as simulate
 from ringwear_par.studies.analysis.surrogate import surrogate as surrogate
-from ringwear_par.studies.definition.study import Study as Study
-from ringwear_par.studies.definition.study import read_study as read_study
-from ringwear_par.studies.execution.many import simulate_all as simulate_all
-from ringwear_par.studies.execution.sweep import sweep as sweep
+from ringwear_par.studies.ensemble import open_ensemble as open_ensemble
+from ringwear_par.studies.many import simulate_all as simulate_all
 from ringwear_par.studies.pictures.plot import plot as plot
-from ringwear_par.studies.storage.ensemble import open_ensemble as open_ensemble
+from ringwear_par.studies.study import Study as Study
+from ringwear_par.studies.study import read_study as read_study
+from ringwear_par.studies.sweep import sweep as sweep
 from ringwear_par.version import __version__ as __version__
 from ringwear_par.wear.law import WearLaw as WearLaw
 from ringwear_par.wear.local_state import LocalState as LocalState

@@ -26,13 +26,6 @@ def _whole(low: int, high: int) -> Callable[[str], int]:
     return number
 
 
-def _slice(text: str) -> tuple[int, int]:
-    first, slash, last = text.partition("/")
-    if not (slash and first.isdecimal() and last.isdecimal() and len(text) < 40):
-        raise argparse.ArgumentTypeError(f"{legible(text)}: must be I/N, such as 2/8")
-    return int(first), int(last)
-
-
 def _width(text: str) -> float:
     """Return a width in mm."""
     from ringwear_par.cases.units import in_unit
@@ -138,17 +131,15 @@ def parser() -> argparse.ArgumentParser:
                    help="draw the history at the end")
     a = command(
         "sweep", "compute every case of a study, or continue an interrupted sweep",
-        "studies.execution.sweep:run_sweep", "mpirun -n 4 ringwear sweep study.toml -o out/study",
+        "studies.sweep:run_sweep", "mpirun -n 4 ringwear sweep study.toml -o out/study",
         "solves")
     a.path("study", metavar="STUDY.toml", help="study file")
     a.folder()
     a.add_argument("--ranks-per-case", type=int, default=1, metavar="M",
                    help="ranks that share a case; must divide the number of ranks (default: "
                    "%(default)s)")
-    a.add_argument("--slice", type=_slice, metavar="I/N", dest="part",
-                   help="compute the I-th of N slices only; a sweep without --slice merges them")
-    a.flag("--retry-failed", "compute failed cases again as well")
-    a.flag("--dry-run", "count cases and assemblies, estimate memory and time; write nothing")
+    a.flag("--retry-failed", "compute the blocks of failed cases again")
+    a.flag("--dry-run", "count cases, compute one block, which stays, and estimate time by it")
     a = command(
         "plot", "draw figures of runs, of a sweep, or of the rig of a case file",
         "studies.pictures.plot:plot_stored",

@@ -182,7 +182,7 @@ def record_sweeps(folder: Path) -> Iterator[tuple[str, Record]]:
     process = subprocess.Popen(words, stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         limit = time.monotonic() + 60.0
-        while process.poll() is None and not any(output.glob("shards/*")):
+        while process.poll() is None and not any(output.glob("blocks/*")):
             if time.monotonic() > limit:
                 raise TimeoutError("the sweep has stored nothing in a minute")
             time.sleep(0.02)

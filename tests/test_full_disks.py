@@ -64,18 +64,24 @@ def test_a_run_goes_on_without_checkpoints(tmp_path, comm, monkeypatch, caplog):
 
 
 def test_sweep(tmp_path, comm):
-    """Its shards fit, results.h5 does not; then there is room."""
+    """Neither its block fits nor, once it does, results.h5; then there is room."""
     vary = '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6], count = 6 }\n'
-    study = write_study(tmp_path, comm, vary)
+    study, out = write_study(tmp_path, comm, vary), tmp_path / "out"
     rw.sweep(study, tmp_path / "reference", comm)
-    size = (tmp_path / "reference" / "results.h5").stat().st_size
-    status, said = limited(0.9 * size, "sweep", study, "-o", tmp_path / "out")
-    assert status == 1
-    (told,) = said
-    assert "6 of 6 cases are stored, and the same command goes on" in told
-    assert not list((tmp_path / "out").rglob("*.tmp*"))
-    assert rw.sweep(study, tmp_path / "out", comm).computed == 0
-    found, exact = variables(tmp_path / "out"), variables(tmp_path / "reference")
+    for size, there in ((10_000, 0), (0.5 * (tmp_path / "reference/results.h5").stat().st_size, 1)):
+        status, said = limited(size, "sweep", study, "-o", out)
+        assert status == 1
+        (told,) = said
+        assert "File too large" in told
+        assert f"{there} of 1 blocks are there, and the same command goes on" in told
+        assert not list(out.rglob("*.tmp*"))
+        assert not (out / "results.h5").exists()
+        subprocess.run(  # the block
+            [*RINGWEAR, "sweep", str(study), "-o", str(out), "--dry-run"], check=True,
+            env=SHELL_ENVIRONMENT, timeout=200,
+        )  # fmt: skip
+    assert rw.sweep(study, out, comm).computed == 0
+    found, exact = variables(out), variables(tmp_path / "reference")
     assert found.keys() == exact.keys()
     for name, values in exact.items():
         assert np.array_equal(found[name], values, equal_nan=values.dtype.kind == "f"), name

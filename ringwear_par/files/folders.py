@@ -26,7 +26,7 @@ FOLLOW = "follow.json"
 
 #: commands by what they leave in their folders; a fit and the design after it may share one
 _COMMANDS = {
-    FIT: "fit", DESIGN: "fit", "cases.csv": "sweep", "shards": "sweep",
+    FIT: "fit", DESIGN: "fit", "cases.csv": "sweep", "blocks": "sweep",
     MEASURE: "measure", PREDICTION: "predict", FOLLOW: "follow",
 }  # fmt: skip
 

@@ -222,7 +222,7 @@ class Function:
         self, rows: Sequence[Sequence[float]], comm: "MPI.Comm | None"
     ) -> list[Result | RingwearError]:
         """Return the result of each case, or why it has none. Collective on comm."""
-        from ringwear_par.studies.execution.many import simulate_all  # starts MPI
+        from ringwear_par.studies.many import simulate_all  # starts MPI
 
         outcomes: list[Any] = []
         for row in rows:

@@ -33,7 +33,7 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.signals import StopSignals, name_of
 from ringwear_par.schedules import Table, in_time
 from ringwear_par.studies.definition.variations import split_key
-from ringwear_par.studies.execution.batches import computed
+from ringwear_par.studies.together import computed
 
 T = TypeVar("T")
 #: number of steps of a test with constant conditions
@@ -275,7 +275,7 @@ class Readings:
             raise case
         pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
         steps = [step_times(experiment, self.steps).tolist()]
-        (part,) = computed([case], pair, results=True, step_times=steps)
+        (part,) = computed([case], [pair], results=True, step_times=steps)
         (result,) = part.results()
         if not isinstance(result, Result):
             raise HistoryError(reason_of(result))

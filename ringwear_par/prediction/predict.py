@@ -22,7 +22,7 @@ from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.known import check_predicted, doubts_of, fit_knowledge
 from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
 from ringwear_par.results.result import Result
-from ringwear_par.studies.execution.many import results_of
+from ringwear_par.studies.many import results_of
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult

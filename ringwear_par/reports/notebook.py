@@ -10,8 +10,8 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import RingwearError
 from ringwear_par.pictures.rig import rig_svg
 from ringwear_par.results.result import Outcome
-from ringwear_par.studies.definition.study import Study
 from ringwear_par.studies.definition.variations import path_of
+from ringwear_par.studies.study import Study
 
 _KEY = re.compile(r"\b[a-z]+(?:\[\d\])?(?:\.[a-z_0-9]+(?:\[\d\])?)+")
 #: of texts, whose lines may be longer than a cell is wide
@@ -45,8 +45,8 @@ def _picture(outcome: Outcome) -> str:
 
 def study_html(study: Study) -> str:
     """Return the varied keys of a study, and the rig of its first case. Not collective."""
-    rows, units = [], study.cases.units()
-    for name, column in zip(study.names, study.cases.columns, strict=True):
+    rows, units = [], study.units()
+    for name, column in zip(study.names, study.columns, strict=True):
         values, numbers = column.distinct, column.numbers
         words = ", ".join(f"{v:.4g}" if is_number(v) else str(v) for v in values)
         if numbers is not None and len(values) > _LISTED:

@@ -13,7 +13,7 @@ from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Outcome, Result
-from ringwear_par.studies.storage.results_file import RESULTS
+from ringwear_par.studies.ensemble import RESULTS
 from ringwear_par.version import __version__
 
 _ENDINGS = (".html", ".htm")
@@ -116,7 +116,7 @@ def _page(source: Result | str | Path) -> Page:
     raise InputError(
         f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE}, "
         f"{folders.PREDICTION} and {RESULTS}; must be a result file, or a folder that ringwear "
-        "sweep (without --slice), fit, design, predict or measure has completed"
+        "sweep, fit, design, predict or measure has completed"
     )
 
 

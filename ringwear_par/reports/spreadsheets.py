@@ -17,10 +17,9 @@ from ringwear_par.results.export import check_tables, titled
 from ringwear_par.results.export import export as export_run
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.storage.end_values import end_value_of
-from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.storage.results_file import RESULTS, join_flags
-from ringwear_par.studies.storage.stored_variables import entry_label
+from ringwear_par.studies.end_values import end_value_of
+from ringwear_par.studies.ensemble import RESULTS, Ensemble, join_flags, read_ensemble
+from ringwear_par.studies.stored_variables import entry_label
 
 _TABLES = (".csv", ".xlsx")
 
@@ -67,7 +66,7 @@ def _sheets(folder: Path) -> list[Table]:
         return [("tests", header, rows)]
     raise InputError(
         f"{folder}: holds none of {FIT}, {RESULTS} and {MEASURE}; must be a result file, or a "
-        "folder that ringwear sweep (without --slice), fit or measure has completed"
+        "folder that ringwear sweep, fit or measure has completed"
     )
 
 
@@ -82,7 +81,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
             else [value.decode() if isinstance(value, bytes) else str(value) for value in values]
         )
         columns[name] = unit, own_key(name).meaning, numbers
-    columns["status"] = "", "done, failed or incomplete", ensemble.status
+    columns["status"] = "", "done or failed", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():
         final, entry = end_value_of(name)

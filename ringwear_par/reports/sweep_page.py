@@ -16,18 +16,17 @@ from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.choice import Choice, Key, choose, raw_words
-from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
-from ringwear_par.studies.pictures.histories import case_words, histories
-from ringwear_par.studies.storage.end_values import (
+from ringwear_par.studies.end_values import (
     display_of,
     end_value_of,
     figure_columns,
     final_name,
 )
-from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.storage.results_file import count_flags
-from ringwear_par.studies.storage.stored_variables import entry_label
+from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
+from ringwear_par.studies.pictures.choice import Choice, Key, choose, raw_words
+from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
+from ringwear_par.studies.pictures.histories import case_words, histories
+from ringwear_par.studies.stored_variables import entry_label
 
 #: most cases of the table
 _MOST = 1000
@@ -60,7 +59,7 @@ def sweep_page(folder: Path) -> page.Page:
 
 
 def _summary(ensemble: Ensemble) -> list[page.Block]:
-    cases = np.flatnonzero(ensemble.in_study)
+    cases = np.arange(len(ensemble.ids))
     status = Counter(ensemble.status[i] for i in cases)
     flags = Counter(ensemble.flags[i] for i in cases if ensemble.flags[i])
     doubts = [count_flags(flags)] if flags else []
@@ -68,8 +67,6 @@ def _summary(ensemble: Ensemble) -> list[page.Block]:
         doubts.append(
             f"{status['failed']} of {len(cases)} cases failed; the table of cases has why"
         )
-    if status["incomplete"]:
-        doubts.append(f"{status['incomplete']} of {len(cases)} cases are incomplete")
     counts = ", ".join(f"{number} {word}" for word, number in status.most_common())
     method = ensemble.attributes["method"]
     lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
@@ -202,7 +199,7 @@ def _index_table(indices: Indices) -> page.Table:
 
 def _cases(ensemble: Ensemble) -> list[page.Block]:
     """Return the worst cases of the study and the first ones, failed ones with why."""
-    cases = np.flatnonzero(ensemble.in_study)
+    cases = np.arange(len(ensemble.ids))
     first = cases[:_MOST]
     caption = f"{len(cases)} cases"
     if len(first) < len(cases):
@@ -211,8 +208,8 @@ def _cases(ensemble: Ensemble) -> list[page.Block]:
     if len(cases) <= _WORST:
         return [every]
     caption = (
-        f"The {_WORST} worst of {len(cases)} cases: those that failed or are incomplete, then "
-        "those with most warnings, then those that penetrate most"
+        f"The {_WORST} worst of {len(cases)} cases: those that failed, then those "
+        "with most warnings, then those that penetrate most"
     )
     worst = _case_table(ensemble, worst_cases(ensemble, cases)[:_WORST], caption)
     return [replace(worst, sortable=False), every]
@@ -263,10 +260,9 @@ def _reproduced(ensemble: Ensemble) -> page.Section:
         "ringwear plot out/study -o study.png\n"
     )
     first = (
-        "Save the study as study.toml beside the case file that it names; the text of a case below "
-        "has all its keys, those that vary with their values of this case. Then type:"
+        "Save the study as study.toml beside the case file that it names, whose keys are below; "
+        "those that vary have their values in the table of cases. Then type:"
     )
     sources = [page.Source("Study", str(about["study"]))]
-    if len(ensemble.ids):
-        sources.append(page.Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
+    sources.append(page.Source("Base case", str(about["case"])))
     return page.reproduced(first, commands, sources, page.stored_versions(about))

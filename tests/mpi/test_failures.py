@@ -64,7 +64,7 @@ def test_a_law_that_raises_fails_its_case(comm, mpi_tmp_path, scheme, calls):
     base = rw.read_case(PAPER, {**SMALL, "time.scheme": scheme, "time.step": 0.05})
     good = base.replace({"wear.lower": wear})
     bad = base.replace({"wear.lower": {**wear, "parameters": {"k": 2e-7}}})
-    found = rw.simulate_all([good, *[bad] * comm.size, good], comm)
+    found = rw.simulate_all([good, *[bad] * comm.size, good], comm, batch=1)
     kinds = [type(one).__name__ for one in found]
     assert kinds[0] == kinds[-1] == "Result"
     assert "FailedResult" in kinds

@@ -7,6 +7,7 @@ import pytest
 from drawn import draws_of, fit_of
 from laboratory import TRUTH, fit_tables, write_tests
 from mpi4py import MPI
+from parts import run_sweep
 from paths import CASES, PAPER
 
 import ringwear_par as rw
@@ -133,7 +134,14 @@ def rows_of(folder):
         return [{k: v for k, v in row.items() if k not in CLOCKS} for row in csv.DictReader(file)]
 
 
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Blocks of two cases, for all ranks to have some."""
+    monkeypatch.setattr("ringwear_par.studies.together.MOST", 2)
+
+
 @pytest.mark.parametrize("scheme", ["adaptive", "implicit", "explicit"])
+@pytest.mark.usefixtures("small_blocks")
 def test_a_sweep(comm, mpi_tmp_path, scheme):
     study = study_of(mpi_tmp_path, comm, scheme)
     rw.sweep(study, mpi_tmp_path / "all", comm)
@@ -146,6 +154,7 @@ def test_a_sweep(comm, mpi_tmp_path, scheme):
     assert_same(found.drop_vars(drop), known.drop_vars(drop), 1e-12)
 
 
+@pytest.mark.usefixtures("small_blocks")
 def test_a_sweep_of_teams(comm, mpi_tmp_path):
     """All ranks share each case."""
     study = study_of(mpi_tmp_path, comm)
@@ -158,16 +167,20 @@ def test_a_sweep_of_teams(comm, mpi_tmp_path):
         assert float(one["penetration"]) == pytest.approx(float(other["penetration"]), rel=1e-9)
 
 
-def test_a_sweep_goes_on_with_other_ranks(comm, mpi_tmp_path):
-    """What one rank has begun all finish, and nothing is computed twice."""
+@pytest.mark.usefixtures("small_blocks")
+def test_a_sweep_goes_on_with_other_ranks(comm, mpi_tmp_path, capfd):
+    """What one rank has begun all finish."""
     study = study_of(mpi_tmp_path, comm)
     if comm.rank == 0:
-        rw.sweep(study, mpi_tmp_path / "out", ALONE)
+        run_sweep(study, mpi_tmp_path / "out", ALONE, dry_run=True)
+        assert "one block of 2 cases" in capfd.readouterr().out
+        rw.sweep(study, mpi_tmp_path / "one", ALONE)
     comm.Barrier()
-    known = (mpi_tmp_path / "out" / "cases.csv").read_bytes()
-    comm.Barrier()
-    rw.sweep(study, mpi_tmp_path / "out", comm)
-    assert (mpi_tmp_path / "out" / "cases.csv").read_bytes() == known
+    summary = rw.sweep(study, mpi_tmp_path / "out", comm)
+    assert (summary.done, summary.computed) == (12, 10)
+    found, known = (rw.open_ensemble(mpi_tmp_path / folder) for folder in ("out", "one"))
+    drop = [name for name in found.variables if name in CLOCKS]
+    assert found.drop_vars(drop).equals(known.drop_vars(drop))
 
 
 @pytest.fixture

@@ -1,20 +1,20 @@
-"""Sweeps that are killed, stopped or damaged: the same command ends as if nothing had been."""
+"""Sweeps that are killed, stopped, damaged or started twice: all ends as if nothing had been."""
 
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 
 import h5py
 import pytest
 from commands import NEEDS_MPIRUN, RINGWEAR, SHELL_ENVIRONMENT
 from killed_sweeps import children, kill, wait_for_end
-from swept import assert_same_sweeps, write_study
+from swept import assert_same_sweeps, table, write_study
 from waiting import Waiting
 
 import ringwear_par as rw
+from ringwear_par.studies import blocks, results_file, together
 
 pytestmark = pytest.mark.slow
 STUDY = """
@@ -22,166 +22,174 @@ STUDY = """
 "wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }
 "upper.young" = { values = [5e4, 1e5] }
 """
-KILLED = """
-import os, signal, sys
+#: a sweep in blocks of two cases, perhaps killed as it calls a function
+SWEEP = """
+import json, os, signal, sys
+from pathlib import Path
 import ringwear_par as rw
+from ringwear_par.studies import together
 
 study, output, function, call = sys.argv[1:]
-calls = iter(range(int(call), 0, -1))
+together.MOST = 2
+left = [int(call)]
 
 def kill(frame, event, _):
     code = frame.f_code
     if event == "call" and code.co_name == function and "studies" in code.co_filename:
-        if next(calls) == 1:
+        left[0] -= 1
+        if left[0] == 0:
             os.kill(os.getpid(), signal.SIGKILL)
 
-sys.setprofile(kill)
-rw.sweep(study, output)
+sys.setprofile(kill if left[0] else None)
+print(rw.sweep(Path(study), output).computed)
 """
 
 
-def killed(study, output, function, call):
-    """Let a sweep be killed as it calls a function."""
-    words = [sys.executable, "-c", KILLED, study, output, function, str(call)]
-    done = subprocess.run(
-        words, env=SHELL_ENVIRONMENT, timeout=200, check=False, capture_output=True
+def started(study, output, function="", call=0, launcher=()):
+    """Start a sweep in blocks of two cases."""
+    words = [*launcher, sys.executable, "-c", SWEEP, str(study), str(output), function, str(call)]
+    return subprocess.Popen(
+        words, env=SHELL_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert done.returncode == -signal.SIGKILL, done.stderr
+
+
+def ended(process):
+    """Return the status, standard output and error of a process at its end."""
+    output = process.communicate(timeout=200)
+    return process.returncode, *output
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(together, "MOST", 2)
 
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory, comm):
-    """A study, its folder, and one of a sweep killed before it merged."""
+    """A study of three blocks, its folder, and one of a sweep killed before it merged."""
     folder = tmp_path_factory.mktemp("swept")
     study = write_study(folder, comm, STUDY)
-    rw.sweep(study, folder / "reference", comm)
-    killed(study, folder / "killed", "write_results", 1)
+    assert ended(started(study, folder / "reference"))[0] == 0
+    assert ended(started(study, folder / "killed", "merge", 1))[0] == -signal.SIGKILL
     return study, folder / "reference", folder / "killed"
 
 
-def test_a_sweep_killed_as_it_merges_computes_nothing_again(tmp_path, swept, comm):
-    study, reference, unmerged = swept
-    output = shutil.copytree(unmerged, tmp_path / "out")
-    assert rw.sweep(study, output, comm).computed == 0
-    assert_same_sweeps(output, reference)
-    assert {p.name for p in output.rglob("*")} == {p.name for p in reference.rglob("*")}
-
-
-def test_a_sweep_killed_as_it_stores(tmp_path, swept, comm):
+@pytest.mark.parametrize(
+    ("function", "call", "computed"),
+    [("write_block", 2, 4), ("compute", 1, 6), ("put", 60, 2), ("merge", 1, 0), ("check", 2, 0)],
+)
+@pytest.mark.usefixtures("small_blocks")
+def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed):
+    """What is computed once more is at most the block that was at work."""
     study, reference, _ = swept
-    killed(study, tmp_path / "out", "add", 2)
-    assert rw.sweep(study, tmp_path / "out", comm).done == 6
+    status, _, error = ended(started(study, tmp_path / "out", function, call))
+    assert status == -signal.SIGKILL, error
+    assert rw.sweep(study, tmp_path / "out", comm).computed <= max(computed, 2)
     assert_same_sweeps(tmp_path / "out", reference)
 
 
-@pytest.mark.parametrize("how", ["cut", "flipped"])
-@pytest.mark.parametrize("name", ["shards/*.blocks", "results.h5"])
-def test_damaged_files_are_computed_anew(tmp_path, swept, comm, name, how):
-    """Two commands at most."""
+@pytest.mark.parametrize("how", ["cut", "flipped", "emptied"])
+@pytest.mark.usefixtures("small_blocks")
+def test_a_damaged_block_is_computed_anew(tmp_path, swept, comm, caplog, how):
     study, reference, unmerged = swept
-    output = shutil.copytree(reference if name == "results.h5" else unmerged, tmp_path / "out")
-    (path,) = output.glob(name)
+    output = shutil.copytree(unmerged, tmp_path / "out")
+    path = sorted((output / "blocks").glob("*.h5"))[1]
+    with h5py.File(path) as file:
+        at = file["penetration"].id.get_chunk_info(0).byte_offset
     content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content if how == "flipped" else content[: len(content) // 2])
-    try:
-        rw.sweep(study, output, comm)
-    except rw.ComputationError:
-        rw.sweep(study, output, comm)
+    content[at] ^= 1
+    path.write_bytes({"flipped": content, "cut": content[: len(content) // 2], "emptied": b""}[how])
+    assert rw.sweep(study, output, comm).computed == 2
+    assert "is computed anew" in caplog.text
     assert_same_sweeps(output, reference)
 
 
-@pytest.fixture(scope="module")
-def unhurried(tmp_path_factory, comm):
-    """A study whose cases can wait under way, and its folder of results."""
-    folder = tmp_path_factory.mktemp("waiting")
-    waiting = Waiting(folder)
-    rw.sweep(waiting.study, folder / "reference", comm)
-    return waiting, folder / "reference"
+@pytest.mark.usefixtures("small_blocks")
+def test_damaged_results_are_refused(tmp_path, swept, comm):
+    study, reference, _ = swept
+    output = shutil.copytree(reference, tmp_path / "out")
+    (output / "results.h5").write_bytes((output / "results.h5").read_bytes()[:1000])
+    with pytest.raises(rw.InputError, match="damaged; must be removed"):
+        rw.sweep(study, output, comm)
 
 
-@pytest.fixture
-def held(unhurried):
-    """The same; from now on half of its cases wait."""
-    waiting, reference = unhurried
-    waiting.hold()
-    yield waiting, reference
-    waiting.release()
+@pytest.mark.usefixtures("small_blocks")
+def test_locks_that_killed_processes_left_keep_nobody_out(tmp_path, swept, comm):
+    study, reference, unmerged = swept
+    output = shutil.copytree(unmerged, tmp_path / "out")
+    for path in (output / "blocks").glob("*.h5"):
+        path.rename(path.with_suffix(".lock"))
+    assert rw.sweep(study, output, comm).computed == 6
+    assert_same_sweeps(output, reference)
 
 
-@contextmanager
-def started(study, output):
-    """A sweep on two ranks, killed at last."""
+@pytest.mark.usefixtures("small_blocks")
+def test_a_disk_without_locks(tmp_path, swept, comm, monkeypatch, caplog):
+    def flock(*_):
+        raise OSError(37, "No locks available")
+
+    study, reference, _ = swept
+    monkeypatch.setattr(blocks.fcntl, "flock", flock)
+    assert rw.sweep(study, tmp_path / "out", comm).computed == 6
+    assert "has no locks" in caplog.text
+    assert_same_sweeps(tmp_path / "out", reference)
+
+
+def test_processes_at_once_share_the_work(tmp_path, swept):
+    """As tasks of an array: all end when all is there, one merges."""
+    study, reference, _ = swept
+    ends = [ended(p) for p in [started(study, tmp_path / "out") for _ in range(3)]]
+    assert [status for status, _, _ in ends] == [0, 0, 0], ends
+    assert sum(int(output) for _, output, _ in ends) == 6
+    assert_same_sweeps(tmp_path / "out", reference)
+
+
+def test_a_block_of_a_killed_process_is_taken_over(tmp_path, swept):
+    """By one that waits for it."""
+    study, reference, _ = swept
+    victim = started(study, tmp_path / "out", "write_block", 1)
+    limit = time.monotonic() + 60.0
+    while not list(tmp_path.glob("out/blocks/*.lock")) and victim.poll() is None:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    status, computed, error = ended(started(study, tmp_path / "out"))
+    assert ended(victim)[0] == -signal.SIGKILL
+    assert (status, int(computed)) == (0, 6), error
+    assert_same_sweeps(tmp_path / "out", reference)
+
+
+def test_memory_does_not_grow_with_cases(tmp_path, swept, comm, monkeypatch):
+    """Merged by windows of a few cases, all is the same."""
+    study, reference, unmerged = swept
+    output = shutil.copytree(unmerged, tmp_path / "out")
+    monkeypatch.setattr(results_file, "WINDOW_BYTES", 1e5)
+    monkeypatch.setattr(together, "MOST", 2)
+    rw.sweep(study, output, comm)
+    assert_same_sweeps(output, reference)
+
+
+@NEEDS_MPIRUN
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_stops_all_ranks_with_one_sentence(tmp_path, comm, number):
+    """What is there stays, and the same command goes on."""
+    waiting, output = Waiting(tmp_path), tmp_path / "out"
+    waiting.hold(5.0)
     process = subprocess.Popen(
-        ["mpirun", "-n", "2", *RINGWEAR, "sweep", str(study), "-o", str(output)],
+        ["mpirun", "-n", "2", *RINGWEAR, "sweep", str(waiting.study), "-o", str(output)],
         env=SHELL_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            kill_all(process)
-
-
-def kill_all(process):
-    """Kill a sweep that we started, and its ranks."""
-    family = children(process.pid)
-    for pid in (process.pid, *family):
-        kill(pid)
-    process.communicate(timeout=60)
-    wait_for_end(family)
-
-
-def wait_for(condition, process):
     limit = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        assert process.poll() is None, process.communicate()
+    while not waiting.waits:
+        assert time.monotonic() < limit
         time.sleep(0.02)
-
-
-@NEEDS_MPIRUN
-def test_a_sweep_killed_under_way_goes_on(tmp_path, held, comm):
-    (waiting, reference), output = held, tmp_path / "out"
-    with started(waiting.study, output) as process:
-        wait_for(lambda: waiting.waits == 2, process)
-        kill_all(process)
+    ranks = children(process.pid)
+    for rank in ranks:
+        kill(rank, number)
+    status, _, error = ended(process)
+    wait_for_end(ranks)
+    assert status == 1, error
+    assert "Traceback" not in error
+    assert "0 of 1 blocks are there, and the same command goes on" in error
     waiting.release()
-    summary = rw.sweep(waiting.study, output, comm)
-    assert waiting.cases // 2 <= summary.computed < waiting.cases
-    assert_same_sweeps(output, reference)
-
-
-@NEEDS_MPIRUN
-def test_two_sweeps_in_one_folder(tmp_path, held, comm):
-    """The second is refused, the first goes on."""
-    (waiting, reference), output = held, tmp_path / "out"
-    with started(waiting.study, output) as process:
-        wait_for(lambda: waiting.waits == 2, process)
-        with pytest.raises(rw.InputError, match="another sweep"):
-            rw.sweep(waiting.study, output, comm)
-        waiting.release()
-        _, stderr = process.communicate(timeout=100)
-        assert process.returncode == 0, stderr
-    assert_same_sweeps(output, reference)
-
-
-@NEEDS_MPIRUN
-def test_a_signal_to_one_rank_stops_all(tmp_path, held, comm):
-    """What has ended is stored, and the same command goes on."""
-    (waiting, reference), output = held, tmp_path / "out"
-    with started(waiting.study, output) as process:
-        wait_for(lambda: waiting.waits == 2, process)
-        kill(children(process.pid)[-1], signal.SIGTERM)
-        waiting.release()
-        _, stderr = process.communicate(timeout=100)
-    assert process.returncode == 1, stderr
-    assert "Traceback" not in stderr
-    assert "stopped by SIGTERM" in stderr
-    assert (output / "STOPPED").exists()
-    with h5py.File(output / "results.h5", "r") as file:
-        assert file.attrs["status"] == "incomplete"
-        done = file["status"].asstr()[:].tolist().count("done")
-    assert done < waiting.cases
-    assert rw.sweep(waiting.study, output, comm).computed == waiting.cases - done
-    assert_same_sweeps(output, reference)
+    assert rw.sweep(waiting.study, output, comm).computed == waiting.cases
+    assert {row["status"] for row in table(output)} == {"done"}

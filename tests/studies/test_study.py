@@ -1,4 +1,4 @@
-"""Study files: designs, ids, groups, and cases that are those of their keys."""
+"""Study files: designs, ids, and cases that are those of their keys."""
 
 import pickle
 import tomllib
@@ -10,10 +10,8 @@ from paths import CASES, PAPER
 from swept import write_study
 
 import ringwear_par as rw
-from ringwear_par.studies.definition.identities import case_id
-from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.definition.variations import Column
-from ringwear_par.studies.definition.varied_columns import CaseColumns
+from ringwear_par.studies.study import Study, read_study
 
 CASE = PAPER.read_text()
 GRID = """
@@ -40,6 +38,16 @@ def write(tmp_path, comm):
     return written
 
 
+def rows(study):
+    """Return the raw values of each case."""
+    return list(zip(*(column.by_case() for column in study.columns), strict=True))
+
+
+def ids(study):
+    """Return the ids of all cases."""
+    return study.ids(np.arange(len(study))).tolist()
+
+
 def sampled(write, method, count, seed=1):
     text = f'{DRAWN}[design]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
     return read_study(write(text))
@@ -53,17 +61,18 @@ def sampled(write, method, count, seed=1):
 def test_the_unit_of_a_wear_coefficient_is_that_of_the_laws_of_the_cases(laws, unit):
     columns = [Column.of([1e-9] * len(laws)), Column.of([10.0] * len(laws)), Column.of(laws)]
     names = ("wear.lower.k", "load.pressure", "wear.lower.law")
-    varied = CaseColumns.of({"wear.lower.law": "table"}, names, tuple(columns))
-    assert varied.units() == dict(zip(names, (unit, "MPa", ""), strict=True))
+    study = Study("", "", "grid", {"wear.lower.law": "table"}, names, tuple(columns))
+    assert study.units() == dict(zip(names, (unit, "MPa", ""), strict=True))
 
 
 def test_grid_is_the_product_in_order(write):
     study = read_study(write(GRID))
-    assert [row[1] for row in study.rows] == [0, 20] * 3
-    assert [row[0] for row in study.rows[::2]] == pytest.approx([1e-8, 1e-7, 1e-6], rel=1e-14)
+    values = rows(study)
+    assert [row[1] for row in values] == [0, 20] * 3
+    assert [row[0] for row in values[::2]] == pytest.approx([1e-8, 1e-7, 1e-6], rel=1e-14)
     case = study.case(3)
-    assert (case.wear_lower.k, case.wear_lower.p0) == (study.rows[3][0], 20.0)
-    assert study.groups == ((0, 1, 2, 3, 4, 5),)
+    assert (case.wear_lower.k, case.wear_lower.p0) == (values[3][0], 20.0)
+    assert study.order.tolist() == [0, 1, 2, 3, 4, 5]
 
 
 #: base cases and what varies: numbers, texts, lists, single entries, tables over time, ends
@@ -80,37 +89,35 @@ VARIED = {
 
 @pytest.mark.parametrize("name", VARIED)
 def test_cases_are_those_of_their_keys(name):
-    """Each is equal to one that is made by itself, and has the id of its keys."""
+    """Made together each is equal to one that is made by itself, and has the id of its keys."""
     stem, keys = VARIED[name]
     vary = {key: {"values": values} for key, values in keys.items()}
     study = read_study({"case": CASES / f"{stem}.toml", "vary": vary, "design": {"method": "grid"}})
-    assert len(study.cases) == np.prod([len(values) for values in keys.values()])
-    for n, row in enumerate(study.rows):
-        alone = make_case(study.keys(n), "")
-        assert study.case(n) == alone
-        assert study.case(n).text == alone.text
-        assert study.ids[n] == case_id(study.keys(n))
+    every = np.arange(len(study))
+    assert len(study) == np.prod([len(values) for values in keys.values()])
+    for n, (row, case, name_of) in enumerate(
+        zip(rows(study), study.cases_of(every), ids(study), strict=True)
+    ):
+        assert case == study.case(n) == make_case(study.keys(n), "")
         again = rw.read_case(CASES / f"{stem}.toml", dict(zip(keys, row, strict=True)))
         assert parse_case(study.case(n).text, "") == parse_case(again.text, "")
-
-
-def test_cases_that_are_there_twice_are_counted(write, caplog):
-    study = read_study(write('[vary]\n"load.pressure" = { values = ["8 MPa", 8, 9] }\n'))
-    assert len(study.cases) == 2
-    assert "1 of 3" in caplog.text
+        alone = {"case": CASES / f"{stem}.toml", "vary": {k: {"values": [v]} for k, v in
+                 zip(keys, row, strict=True)}}  # fmt: skip
+        assert ids(read_study(alone)) == [name_of]
+    assert len(set(ids(study))) == len(study)
 
 
 @pytest.mark.parametrize("method", ["sobol", "random"])
 def test_a_longer_design_extends_a_shorter_one(write, method):
     short, long = sampled(write, method, 7), sampled(write, method, 13)
-    assert long.rows[:7] == short.rows
-    assert long.ids[:7] == short.ids
+    assert rows(long)[:7] == rows(short)
+    assert ids(long)[:7] == ids(short)
 
 
 @pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
 def test_samples_fill_their_ranges(write, method):
     study = sampled(write, method, 256)
-    k, outer, elements, grip = zip(*study.rows, strict=True)
+    k, outer, elements, grip = zip(*rows(study), strict=True)
     fraction = np.log(np.array(k) / 1e-8) / np.log(100.0)
     assert 0.0 <= fraction.min() < 0.03
     assert 0.97 < fraction.max() <= 1.0
@@ -124,13 +131,13 @@ def test_samples_fill_their_ranges(write, method):
 
 @pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
 def test_samples_follow_from_their_seed(write, method):
-    rows = sampled(write, method, 8).rows
-    assert sampled(write, method, 8).rows == rows
-    assert sampled(write, method, 8, seed=2).rows != rows
+    values = rows(sampled(write, method, 8))
+    assert rows(sampled(write, method, 8)) == values
+    assert rows(sampled(write, method, 8, seed=2)) != values
 
 
 def test_latin_hypercube_has_one_point_in_each_stratum(write):
-    k = np.array([row[0] for row in sampled(write, "latin-hypercube", 50).rows])
+    k = np.array([row[0] for row in rows(sampled(write, "latin-hypercube", 50))])
     strata = (50.0 * np.log(k / 1e-8) / np.log(100.0)).astype(int)
     assert sorted(strata) == list(range(50))
 
@@ -141,9 +148,9 @@ def test_list_from_a_table(write, tmp_path):
         '50,"[28, 32]",implicit\n6.05e1,"[28.5, 31.5]",explicit\n'
     )
     study = read_study(write('[design]\nmethod = "list"\nfile = "rows.csv"\n'))
-    assert study.rows == ((50, [28, 32], "implicit"), (60.5, [28.5, 31.5], "explicit"))
+    assert rows(study) == [(50, [28, 32], "implicit"), (60.5, [28.5, 31.5], "explicit")]
     assert study.case(1).time.scheme == "explicit"
-    assert len(study.groups) == 2
+    assert len(set(study.shapes)) == 2
 
 
 def test_schemes_vary_and_each_has_the_keys_that_it_knows(write):
@@ -157,7 +164,7 @@ def test_schemes_vary_and_each_has_the_keys_that_it_knows(write):
 
 
 def test_ids_follow_content_and_do_not_change():
-    """Else folders of sweeps would begin anew."""
+    """Of the title, of how numbers are written, and of what varies in a study none depends."""
     base = {
         "contact.friction": 0.1, "load.omega": 3.541666666666667, "load.pressure": 50.0,
         "lower.poisson": 0.3, "lower.r": [20.0, 40.0], "lower.young": 10000.0,
@@ -166,49 +173,66 @@ def test_ids_follow_content_and_do_not_change():
         "upper.young": 100000.0, "upper.z": [20.0, 40.0], "wear.lower.k": 1e-07,
         "wear.lower.law": "threshold", "wear.lower.p0": 40.0,
     }  # fmt: skip
-    assert case_id(base) == "6bd491c1c9c4b1e1"
+
+    def id_of(keys, key, value):
+        return ids(read_study({"case": keys, "vary": {key: {"values": [value]}}}))[0].decode()
+
+    assert id_of(base, "load.pressure", 50.0) == "6bd491c1c9c4b1e1"
     same = {**dict(reversed(base.items())), "load.pressure": 50, "title": "x"}
-    assert case_id({**base, "title": "x"}) == case_id(same)
-    assert case_id(base) != case_id({**base, "load.pressure": 51})
+    assert id_of(same, "upper.r", [28.5, 31.5]) == "6bd491c1c9c4b1e1"
+    assert id_of(base, "load.pressure", 51) != "6bd491c1c9c4b1e1"
 
 
-def test_groups_share_an_operator_longest_first(write):
+def test_cases_of_a_contact_pair_follow_each_other(write):
     text = """
 [vary]
-"upper.poisson" = { values = [0.2, 0.3] }
-"mesh.contact_elements" = { values = [16, 64] }
 "lower.young" = { values = [1e4, 2e4] }
+"mesh.contact_elements" = { values = [16, 64] }
 "wear.lower.k" = { values = [1e-7, 2e-7, 3e-7] }
+"upper.poisson" = { values = [0.2, 0.3] }
 [design]
 method = "grid"
 """
     study = read_study(write(text))
-    assert [len(group) for group in study.groups] == [6, 6, 6, 6]
-    sizes = [study.case(group[0]).mesh.contact_elements for group in study.groups]
-    assert sizes == [64, 64, 16, 16]
+    shapes = study.shapes[study.order]
+    assert np.count_nonzero(np.diff(shapes)) == 3
+    pairs = {(case.upper.poisson, case.mesh.contact_elements)
+             for case in study.cases_of(study.order[:6])}  # fmt: skip
+    assert len(pairs) == 1
 
 
 def test_a_range_that_is_open_at_its_end(write):
     open_end = '[vary]\n"lower.young" = { linear = [0, 1e4] }\n[design]\nmethod = "random"\n'
-    assert len(read_study(write(open_end + "count = 30\n")).ids) == 30
+    assert len(read_study(write(open_end + "count = 30\n"))) == 30
 
 
-def test_faults_of_many_cases_name_the_cases(write):
+def test_bad_values_are_refused_before_any_work(write):
+    """All of them, once each, with a case that has them."""
     text = (
         '[vary]\n"load.pressure" = { values = [50, -1, 60] }\n'
-        '"contact.friction" = { values = [0.1, 0.2, -3] }\n"upper.grip" = { values = ["clampt"] }\n'
+        '"contact.friction" = { values = [0.1, 0.2, -3] }\n'
+        '"upper.grip" = { values = ["clamped", "clampt"] }\n'
     )
     with pytest.raises(rw.InputError) as raised:
         read_study(write(text))
     faults = {fault.loc: fault for fault in raised.value.faults}
     assert faults.keys() == {"upper.grip", "contact.friction", "load.pressure"}
-    assert "6 others" in faults["upper.grip"]
-    assert "3, 6 and 9" in faults["contact.friction"]
-    assert "4, 5 and 6" in faults["load.pressure"]
+    assert "case 2: " in faults["upper.grip"]
+    assert "-3" in faults["contact.friction"]
+    assert len(raised.value.faults) == 3
+
+
+def test_an_end_of_a_range_that_no_case_can_have_is_refused(write):
+    """Of a thousand numbers, one of which is bad whatever the others are."""
+    text = '[vary]\n"upper.r[1]" = {{ linear = [{}, 32.0] }}\n'
+    text += '"load.pressure" = {{ linear = [1, 2] }}\n[design]\nmethod = "random"\ncount = 1000\n'
+    with pytest.raises(rw.InputError, match="upper"):
+        read_study(write(text.format(10.0)))
+    assert len(read_study(write(text.format(30.0)))) == 1000
 
 
 def test_parameters_of_a_user_law_vary(tmp_path):
-    """The law counts by its text, not by where its file is, nor whether it is still there."""
+    """The law counts by its text, not by where its file is."""
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
         for name in ("user_law.toml", "user_law.py"):
@@ -218,13 +242,14 @@ def test_parameters_of_a_user_law_vary(tmp_path):
         vary = {"wear.lower.parameters.p1": {"linear": [30.0, 90.0], "count": 5}}
         return read_study({"case": tmp_path / folder / "user_law.toml", "vary": vary})
 
-    one, two = study("one"), study("two")
-    assert one.ids == two.ids
+    one, two, every = study("one"), study("two"), np.arange(5)
+    assert ids(one) == ids(two)
+    assert one.digest(every) == two.digest(every)
     law = tmp_path / "two" / "user_law.py"
     law.write_text(law.read_text() + "\n# changed\n")
-    assert not set(study("two").ids) & set(one.ids)
-    (tmp_path / "one" / "user_law.py").unlink()
-    cases = [pickle.loads(pickle.dumps(one)).case(n) for n in range(5)]
+    assert not set(ids(study("two"))) & set(ids(one))
+    assert study("two").digest(every) != one.digest(every)
+    cases = pickle.loads(pickle.dumps(one)).cases_of(every)
     assert cases == [one.case(n) for n in range(5)]
     assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 45, 60, 75, 90]
     assert all(dict(case.wear_lower.parameters)["k"] == 2e-7 for case in cases)
@@ -237,5 +262,5 @@ def test_tables_in_python_are_a_study(write):
     of_file = read_study(path)
     for case in (path.parent / "paper.toml", tomllib.loads(CASE)):
         found = read_study({**tables, "case": case})
-        assert (found.ids, found.rows, found.groups) == (of_file.ids, of_file.rows, of_file.groups)
+        assert (ids(found), rows(found)) == (ids(of_file), rows(of_file))
         assert found.case(3) == of_file.case(3)

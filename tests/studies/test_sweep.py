@@ -1,5 +1,6 @@
-"""Sweeps: the numbers of single runs, one assembly for many cases, extension and resumption."""
+"""Sweeps: the numbers of single runs, files as the contract has them, failures, other studies."""
 
+import csv
 import shutil
 import tomllib
 from functools import partial
@@ -7,14 +8,12 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
-from parts import HISTORIES, PROFILES, ThresholdLaw, parse_case, run_case
+from parts import HISTORIES, PROFILES, ThresholdLaw, parse_case
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par import version
-from ringwear_par.studies.execution import pairs, plan, sweep, team_store
-from ringwear_par.studies.storage import case_table, case_variables, results_writer
-from ringwear_par.studies.storage.ensemble import open_ensemble, read_ensemble
+from ringwear_par.studies import blocks, study, sweep, together
+from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 
 #: three cases of one operator, and six of two
 COEFFICIENTS = '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }\n'
@@ -36,41 +35,38 @@ def known(tmp_path_factory, comm):
 
 
 @pytest.fixture
-def copied(known, tmp_path):
-    """A copy of it."""
-    return shutil.copytree(known, tmp_path / "out")
+def small_blocks(monkeypatch):
+    """Have no more than five cases in a block."""
+    monkeypatch.setattr(together, "MOST", 5)
 
 
-def test_equals_single_runs(known, tmp_path, comm):
-    """To 1e-12: assembly on all ranks and on one sum in another order, histories do not."""
+def test_equals_single_runs(known, comm):
+    """To 1e-12: of one operator each."""
     found, rows = variables(known), table(known)
-    run = tmp_path / "run.h5"
+    cases = rw.read_study(known.parent / "study.toml")
     assert [row["status"] for row in rows] == ["done"] * 12
     for i in (0, 5, 10):
-        (text,) = [t.decode() for t in found["case_toml"][[i]]]
-        (tmp_path / "one.toml").write_text(text)
-        run_case(tmp_path / "one.toml", run, [], comm=comm)
-        with h5py.File(run) as file:
-            for name in (*HISTORIES, *PROFILES, "r", "width"):
-                if name == "contact_iterations":
-                    continue
-                values = file[name][()]
-                gap = 1e-12 * max(np.abs(values).max(), 1e-3 if name == "gap" else 0.0)
-                assert found[name][i] == pytest.approx(values, rel=1e-12, abs=gap), name
+        run = rw.simulate(cases.case(i), comm).to_xarray()
+        for name in (*HISTORIES, *PROFILES, "r", "width"):
+            if name == "contact_iterations":
+                continue
+            values = run[name].values
+            gap = 1e-12 * max(np.abs(values).max(), 1e-3 if name == "gap" else 0.0)
+            assert found[name][i] == pytest.approx(values, rel=1e-12, abs=gap), name
         assert float(rows[i]["penetration"]) == found["penetration"][i, -1]
 
 
 def test_edge_elements_are_those_of_single_runs(write, tmp_path, comm):
     """NaN where a contact line has no element: no edge of contact either."""
     changes = {"upper.chamfer": 0.2, "time.steps": 2}
-    study = write(
+    path = write(
         '[vary]\n"mesh.contact_elements" = { values = [24, 32] }\n',
         case=parse_case(CASE, "case").replace(changes).text,
     )
-    rw.sweep(study, tmp_path / "out", comm)
+    rw.sweep(path, tmp_path / "out", comm)
     with open_ensemble(tmp_path / "out") as data:
         for i, n in enumerate((24, 32)):
-            alone = rw.simulate(parse_case(data.case_toml[i].item(), "case"), comm)
+            alone = rw.simulate(rw.read_study(path).case(i), comm)
             marked = data.edge_element[i].values
             assert np.array_equal(marked[:, :n], alone.to_xarray().edge_element.values)
             assert np.isnan(marked[:, n:]).all()
@@ -86,24 +82,49 @@ def test_opens_in_xarray_with_coordinates(known):
         assert data.sel(case=str(first.case.values)).penetration[-1] == first.penetration[-1]
         assert data.pressure.attrs["units"] == "MPa"
         assert list(data.step.values) == list(range(21))
+        assert tomllib.loads(data.attrs["case"])["wear"]["lower"]["p0"] == 40.0
 
 
-def test_five_geometries_cost_five_assemblies(write, tmp_path, comm):
-    study = write(
+@pytest.mark.usefixtures("small_blocks")
+def test_blocks_of_any_size_give_the_same(known, tmp_path, comm):
+    """To round-off, in the order of the design; only results are left of them."""
+    rw.sweep(known.parent / "study.toml", tmp_path / "out", comm)
+    found, exact = variables(tmp_path / "out"), variables(known)
+    for name in ("case", "upper.r", "time"):
+        assert np.array_equal(found[name], exact[name]), name
+    for name in ("penetration", "wear_lower", "worn_volume_lower", "final_penetration"):
+        np.testing.assert_allclose(found[name], exact[name], rtol=1e-12, atol=1e-18)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"results.h5", "cases.csv"}
+
+
+def test_blocks_do_not_depend_on_anything_but_cases(write, tmp_path):
+    """Numbers drawn anew are other blocks; a longer design begins with those of a shorter one."""
+    drawn = '[vary]\n"wear.lower.k" = {{ log = [1e-8, 1e-6] }}\n[design]\nmethod = "sobol"\n'
+    drawn += "count = {}\nseed = {}\n"
+    cases = [rw.read_study(write(drawn.format(*n))) for n in ((4096, 1), (8192, 1), (4096, 2))]
+    short, long, other = ([b.path for b in blocks.blocks_of(s, tmp_path)] for s in cases)
+    assert len(short) > 1
+    assert long[: len(short)] == short
+    assert not set(other) & set(short)
+
+
+def test_geometries_share_a_block(write, tmp_path, comm):
+    """One file has the cases of several contact pairs."""
+    path = write(
         '[vary]\n"upper.r[1]" = { linear = [30.5, 32.5], count = 5 }\n'
         '"wear.lower.p0" = { linear = [0, 60], count = 4 }\n'
         '"time.steps" = { values = [2] }\n'
     )
-    summary = rw.sweep(study, tmp_path / "out", comm)
-    assert (summary.done, summary.operators) == (20, 5)
+    assert len(blocks.blocks_of(rw.read_study(path), tmp_path)) == 1
+    assert rw.sweep(path, tmp_path / "out", comm).done == 20
 
 
 def test_different_sizes_are_padded(write, tmp_path, comm):
-    study = write(
+    path = write(
         '[vary]\n"mesh.contact_elements" = { values = [8, 16] }\n'
         '"time.steps" = { values = [3, 7] }\n"output.profiles" = { values = ["last"] }\n'
     )
-    rw.sweep(study, tmp_path / "out", comm)
+    rw.sweep(path, tmp_path / "out", comm)
     found = variables(tmp_path / "out")
     assert found["pressure"].shape == (4, 16)
     assert list(found["elements"]) == [8, 8, 16, 16]
@@ -116,81 +137,94 @@ def test_different_sizes_are_padded(write, tmp_path, comm):
         assert found["final_penetration"][i] == found["penetration"][i, rows - 1]
 
 
-def test_again_recomputes_nothing_and_changes_nothing(write, copied, known, comm):
+def test_profiles_of_all_steps_beside_those_of_the_last(write, tmp_path, comm):
+    path = write(
+        '[vary]\n"output.profiles" = { values = ["last", "all"] }\n"time.steps" = { values = [3] }'
+    )
+    rw.sweep(path, tmp_path / "out", comm)
+    wear = variables(tmp_path / "out")["wear_lower"]
+    assert wear.shape == (2, 4, 16)
+    assert np.isnan(wear[0, :-1]).all()
+    assert np.array_equal(wear[0, -1], wear[1, -1])
+
+
+def test_again_recomputes_nothing_and_changes_nothing(known, tmp_path, comm):
     """Of the file, or of its tables."""
-    path = write(STUDY)
+    copied = shutil.copytree(known, tmp_path / "out")
+    path = known.parent / "study.toml"
     tables = tomllib.loads(path.read_text()) | {"case": tomllib.loads(CASE)}
-    for study in (path, tables):
-        summary = rw.sweep(study, copied, comm)
+    for source in (path, tables):
+        summary = rw.sweep(source, copied, comm)
         assert (summary.total, summary.done, summary.failed, summary.computed) == (12, 12, 0, 0)
         assert_same_sweeps(copied, known)
-    attributes = read_ensemble(copied).attributes
-    assert tomllib.loads(attributes["study"])["vary"] == tables["vary"]
+    assert tomllib.loads(read_ensemble(copied).attributes["study"])["vary"] == tables["vary"]
 
 
-def test_changed_study_keeps_what_is_the_same(write, copied, comm):
-    before = {row["case"]: row for row in table(copied)}
-    changed = write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]"))
-    assert rw.sweep(changed, copied, comm).computed == 6
-    after = table(copied)
-    assert [row["in_study"] for row in after] == ["yes"] * 12 + ["no"] * 6
-    kept = [row for row in after if row["case"] in before]
-    assert len(kept) == 12
-    for row in kept:
-        vanished = row["upper.young"] == "50000.0"
-        assert row == {**before[row["case"]], "in_study": "no" if vanished else "yes"}
-    assert read_ensemble(copied).in_study.sum() == 12
+@pytest.mark.parametrize("changed", ["another study", "version 99.0"])
+def test_a_folder_of_another_study_or_version_is_refused(
+    write, known, tmp_path, comm, monkeypatch, changed
+):
+    copied = shutil.copytree(known, tmp_path / "out")
+    if changed == "another study":
+        path = write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]"))
+    else:
+        path = write(STUDY)
+        with h5py.File(copied / "results.h5", "r+") as file:
+            file.attrs["version"] = "99.0"
+        monkeypatch.setattr(study, "__version__", "98.0")
+    with pytest.raises(rw.InputError, match=changed):
+        rw.sweep(path, copied, comm)
+    assert table(copied) == table(known)
 
 
-def test_files_do_not_depend_on_windows(write, known, tmp_path, comm, monkeypatch):
-    """Neither written from blocks, nor, once more, from earlier results."""
-    for module in (results_writer, case_table, case_variables):
-        monkeypatch.setattr(module, "WINDOW", 4)
-    for _ in range(2):
-        rw.sweep(write(STUDY), tmp_path / "out", comm)
-        assert_same_sweeps(known, tmp_path / "out")
-
-
-def test_slices_and_merging_equal_the_whole(write, known, tmp_path, comm):
-    study = write(STUDY)
-    for part in ((3, 3), (1, 3), (2, 3)):
-        rw.sweep(study, tmp_path / "sliced", comm, part=part)
-        assert not (tmp_path / "sliced" / "results.h5").exists()
-    assert rw.sweep(study, tmp_path / "sliced", comm).computed == 0
-    assert_same_sweeps(known, tmp_path / "sliced")
-
-
-def test_a_failed_case_is_a_row_and_the_others_go_on(write, tmp_path, comm, monkeypatch):
-    original, study, folder = ThresholdLaw.line, write(COEFFICIENTS), tmp_path / "out"
+def raising(monkeypatch, message="this law blows up"):
+    """Have the law raise for one of COEFFICIENTS."""
+    original = ThresholdLaw.line
 
     def line(self, local):
         if abs(self.k - 1e-7) < 1e-12:
-            raise RuntimeError("this law blows up")
+            raise RuntimeError(message)
         return original(self, local)
 
     monkeypatch.setattr(ThresholdLaw, "line", line)
+    return lambda: monkeypatch.setattr(ThresholdLaw, "line", original)
+
+
+def test_a_failed_case_is_a_row_and_the_others_go_on(write, tmp_path, comm, monkeypatch):
+    path, folder = write(COEFFICIENTS), tmp_path / "out"
+    mend = raising(monkeypatch)
     with pytest.raises(rw.ComputationError, match="1 of 3"):
-        rw.sweep(study, folder, comm)
+        rw.sweep(path, folder, comm)
     rows = table(folder)
     assert [row["status"] for row in rows] == ["done", "failed", "done"]
     assert "this law blows up" in rows[1]["error"]
-    monkeypatch.setattr(ThresholdLaw, "line", original)
+    mend()
     with pytest.raises(rw.ComputationError, match="1 of 3"):
-        rw.sweep(study, folder, comm)  # failures are results as well
-    summary = rw.sweep(study, folder, comm, retry_failed=True)
-    assert (summary.done, summary.computed) == (3, 1)
+        rw.sweep(path, folder, comm)  # failures are results as well
+    summary = rw.sweep(path, folder, comm, retry_failed=True)
+    assert (summary.done, summary.failed) == (3, 0)
     assert all(row["status"] == "done" for row in table(folder))
 
 
+@pytest.mark.usefixtures("small_blocks")
+def test_a_retry_computes_the_blocks_of_failed_cases_only(write, tmp_path, comm, monkeypatch):
+    path = write(COEFFICIENTS + '"wear.lower.p0" = { linear = [0, 60], count = 4 }\n')
+    mend = raising(monkeypatch)
+    with pytest.raises(rw.ComputationError, match="4 of 12"):
+        rw.sweep(path, tmp_path / "out", comm)
+    mend()
+    assert rw.sweep(path, tmp_path / "out", comm, retry_failed=True).computed == 10
+
+
 def test_an_operator_that_fails_fails_its_cases_only(write, tmp_path, comm, monkeypatch):
-    original = pairs.assemble
+    original = blocks.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise rw.ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(pairs, "assemble", assemble)
+    monkeypatch.setattr(blocks, "assemble", assemble)
     with pytest.raises(rw.ComputationError, match="3 of 6"):
         rw.sweep(write(SHAPES), tmp_path / "out", comm)
     failed = [row for row in table(tmp_path / "out") if row["status"] == "failed"]
@@ -198,33 +232,32 @@ def test_an_operator_that_fails_fails_its_cases_only(write, tmp_path, comm, monk
     assert {row["error"] for row in failed} == {"the factorisation failed"}
 
 
-def test_a_dry_run_counts_and_writes_nothing(write, tmp_path, comm, capsys):
+def test_a_bad_corner_is_a_failed_case(write, tmp_path, comm):
+    """Each value is right with some of the others."""
+    path = write(
+        '[vary]\n"lower.r[1]" = { values = [30, 40] }\n"upper.r[0]" = { values = [28.5, 31] }\n'
+    )
+    with pytest.raises(rw.ComputationError, match="1 of 4"):
+        rw.sweep(path, tmp_path / "out", comm)
+    (failed,) = [row for row in table(tmp_path / "out") if row["status"] == "failed"]
+    assert (failed["lower.r[1]"], failed["upper.r[0]"]) == ("30", "31")
+    assert "upper" in failed["error"]
+
+
+def test_a_dry_run_computes_a_block_and_keeps_it(write, tmp_path, comm, capsys):
     sweep.run_sweep(write(STUDY), tmp_path / "out", comm, dry_run=True)
-    assert not (tmp_path / "out").exists()
     output = capsys.readouterr().out
-    assert "12 cases" in output
-    assert "2 distinct contact pair" in output
+    assert "12 cases in 1 blocks" in output
+    assert "one block of 12 cases took" in output
+    assert rw.sweep(write(STUDY), tmp_path / "out", comm).computed == 0
 
 
 def test_a_sweep_without_memory_for_it_is_refused(write, tmp_path, comm, with_memory):
     with_memory(1e9)
-    study = write(COEFFICIENTS + '"mesh.contact_elements" = { values = [6000] }\n')
+    path = write(COEFFICIENTS + '"mesh.contact_elements" = { values = [6000] }\n')
     with pytest.raises(rw.InputError, match="memory"):
-        rw.sweep(study, tmp_path / "out", comm)
-
-
-def test_another_version_does_not_mix_with_the_first(write, tmp_path, comm, monkeypatch):
-    mine, folder = rw.__version__, tmp_path / "out"
-    rw.sweep(write(THRESHOLDS.format("0, 20")), folder, comm)
-    for module in (rw, version, plan, team_store):
-        monkeypatch.setattr(module, "__version__", "99.0")
-    assert rw.sweep(write(THRESHOLDS.format("0, 20")), folder, comm).computed == 0
-    with pytest.raises(rw.InputError, match=f"2 by {mine}"):
-        rw.sweep(write(THRESHOLDS.format("0, 20, 40")), folder, comm)
-    # the others are no longer of the study
-    assert rw.sweep(write(THRESHOLDS.format("40")), folder, comm).computed == 1
-    versions = dict.fromkeys(["0", "20"], mine) | {"40": "99.0"}
-    assert {row["wear.lower.p0"]: row["version"] for row in table(folder)} == versions
+        rw.sweep(path, tmp_path / "out", comm)
+    assert not (tmp_path / "out").exists()
 
 
 def test_warnings_are_flags_of_a_sweep(write, tmp_path, comm):
@@ -238,3 +271,13 @@ def test_warnings_are_flags_of_a_sweep(write, tmp_path, comm):
     assert "unstable_explicit_step" in rows[0]["flags"]
     with open_ensemble(tmp_path / "out") as data:
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
+
+
+def test_texts_of_any_length_and_letters_are_stored(write, tmp_path, comm, monkeypatch):
+    raising(monkeypatch, message='\N{GREEK SMALL LETTER MU}, "mm"\n' + 30 * "long ")
+    with pytest.raises(rw.ComputationError):
+        rw.sweep(write(COEFFICIENTS), tmp_path / "out", comm)
+    with open_ensemble(tmp_path / "out") as data, (tmp_path / "out/cases.csv").open() as file:
+        errors = [row["error"] for row in csv.DictReader(file)]
+        assert [str(error) for error in data.error.values] == errors
+    assert "\N{GREEK SMALL LETTER MU}" in errors[1]

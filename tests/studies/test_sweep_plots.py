@@ -136,18 +136,15 @@ def test_curves_of_a_grid(tmp_path):
 
 def test_other_cases_than_done_ones_are_counted_not_drawn(tmp_path):
     rows = [(float(n),) for n in range(1, 8)]
-    status = ["done", "failed", "done", "incomplete", "done", "done", "failed"]
-    ensemble = write(
-        tmp_path / "a", KEYS[:1], rows, np.arange(7.0) + 1.0, status=status,
-        in_study=[True, True, True, True, True, False, False],
-    )  # fmt: skip
+    status = ["done", "failed", "done", "failed", "done", "failed", "failed"]
+    ensemble = write(tmp_path / "a", KEYS[:1], rows, np.arange(7.0) + 1.0, status=status)
     figure = draw_sweep(ensemble)
-    assert all(words in figure.get_suptitle() for words in ("5 cases", "1 failed", "1 incomplete"))
+    assert all(words in figure.get_suptitle() for words in ("7 cases", "4 failed"))
     fan, depth, _ = figure.axes
     assert [line.get_label() for line in fan.lines] == ["1", "3", "5"]
     assert list(depth.lines[0].get_xdata()) == [1.0, 3.0, 5.0]
     assert depth.lines[0].get_ydata() == pytest.approx([1e3, 3e3, 5e3])
-    write(tmp_path / "b", KEYS[:1], rows[:2], [1.0, 1.0], status=["failed", "incomplete"])
+    write(tmp_path / "b", KEYS[:1], rows[:2], [1.0, 1.0], status=["failed", "failed"])
     with pytest.raises(rw.InputError, match="no case"):
         plot_stored([tmp_path / "b"], tmp_path / "a.png")
     assert not (tmp_path / "a.png").exists()

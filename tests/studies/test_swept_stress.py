@@ -31,12 +31,11 @@ ROWS = ("max_mises", "max_mises_r", "max_mises_z", "max_mises_layer")
 
 
 def singles(folder, stride=1):
-    """Rows of a sweep's table and of its file, and each case by its text, computed alone."""
-    rows = table(folder)
+    """Rows of a sweep's table and of its file, and each case of its study, computed alone."""
+    rows, study = table(folder), rw.read_study(folder.parent / "study.toml")
     with rw.open_ensemble(folder) as data:
         for i in range(0, len(rows), stride):
-            (folder / "one.toml").write_text(str(data.case_toml.values[i]))
-            result = rw.simulate(rw.read_case(folder / "one.toml"), MPI.COMM_SELF)
+            result = rw.simulate(study.case(i), MPI.COMM_SELF)
             yield rows[i], data.isel(case=i), result.to_xarray(), result
 
 
@@ -121,18 +120,17 @@ ENTRIES = {
 
 
 def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
-    """The body has a place of its own, in a study that goes on with more layers, too."""
+    """The body has a place of its own."""
     case = CASE.replace("steps = 20", "steps = 8") + (
         '[stress]\npoints = [[30.0, 20.0, "below"], [30.0, 20.0, "above"]]\n'
     )
     thicker = ENTRIES | {"more": ", [{thin}, {soft}, {soft}]".format(**ENTRIES)}
     for entries, most in ((ENTRIES | {"more": ""}, 2), (thicker, 3)):
-        summary = rw.sweep(
-            write_study(tmp_path, comm, LISTS % entries, case), tmp_path / "out", comm
-        )
+        folder = tmp_path / f"out_{most}"
+        summary = rw.sweep(write_study(tmp_path, comm, LISTS % entries, case), folder, comm)
         assert summary.failed == 0
         counts = []
-        for row, mine, own, _ in singles(tmp_path / "out"):
+        for row, mine, own, _ in singles(folder):
             assert mine.point_side.values.tolist() == ["below", "above"]
             assert mine.sizes["layer"] == most + 1
             layers = own.sizes.get("layer", 1) - 1

@@ -8,9 +8,9 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.storage.end_values import MAIN_END_VALUES, end_value_of, entries
-from ringwear_par.studies.storage.ensemble import Ensemble
-from ringwear_par.studies.storage.stored_variables import AT_STATES
+from ringwear_par.studies.end_values import MAIN_END_VALUES, end_value_of, entries
+from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.stored_variables import AT_STATES
 
 #: seed of all random choices: the same results give the same figure
 SEED = 1
@@ -22,8 +22,8 @@ _STATES = 4000
 
 
 def done_cases(ensemble: Ensemble) -> BoolArray:
-    """Return whether each case is of the study and done."""
-    return ensemble.in_study & (np.array(ensemble.status) == "done")
+    """Return whether each case is done."""
+    return np.array(ensemble.status) == "done"
 
 
 def chosen_cases(cases: IntArray, most: int) -> IntArray:

@@ -23,8 +23,8 @@ from ringwear_par.studies.analysis.regression import Part
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases, done_cases
 from ringwear_par.studies.analysis.surrogate import COARSE, Surrogate, share_words, surrogate
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import figure_columns, final_name
-from ringwear_par.studies.storage.ensemble import Ensemble
+from ringwear_par.studies.end_values import figure_columns, final_name
+from ringwear_par.studies.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 

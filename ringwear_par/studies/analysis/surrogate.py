@@ -21,8 +21,8 @@ from ringwear_par.studies.analysis.responses import (
     done_cases,
     read_responses,
 )
-from ringwear_par.studies.storage.end_values import MAIN_END_VALUES, end_value_of
-from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.end_values import MAIN_END_VALUES, end_value_of
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 
 if TYPE_CHECKING:
     import xarray
@@ -348,7 +348,7 @@ def _fit(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
         parts.append(_part(ensemble, combination, keys, designed, chosen, times))
     if not parts:
         raise InputError(few or f"{ensemble.path}: no case is done; a surrogate needs some")
-    return Surrogate(texts, parts, int(ensemble.in_study.sum()), int(done.sum()))
+    return Surrogate(texts, parts, len(ensemble.ids), int(done.sum()))
 
 
 def _needed(keys: Sequence[str]) -> int:

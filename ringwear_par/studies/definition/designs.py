@@ -35,7 +35,6 @@ from ringwear_par.studies.definition.variations import (
     split_key,
     whole_name,
 )
-from ringwear_par.studies.definition.varied_columns import CaseColumns
 
 SAMPLED = ("sobol", "latin-hypercube", "random")
 #: faults of a table that are named one by one
@@ -55,8 +54,11 @@ class Draft:
     text: str
     #: of the design
     method: str
-    #: all of them
-    cases: CaseColumns
+    #: dotted keys and raw values of the base case
+    base: Mapping[str, Any]
+    #: the varied keys, and their raw values in all cases
+    names: tuple[str, ...]
+    columns: tuple[Column, ...]
 
 
 def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
@@ -106,7 +108,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         column.mapped(partial(_in_full, key, folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)
     )
-    return Draft(name, text, method, CaseColumns.of(base, names, complete))
+    return Draft(name, text, method, base, names, complete)
 
 
 def _in_full(name: str, folder: Path, value: Any) -> Any:

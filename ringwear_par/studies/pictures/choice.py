@@ -17,8 +17,8 @@ from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
 from ringwear_par.studies.analysis.surrogate import USELESS, Surrogate, share_words
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import display_of, figure_columns
-from ringwear_par.studies.storage.ensemble import Ensemble
+from ringwear_par.studies.end_values import display_of, figure_columns
+from ringwear_par.studies.ensemble import Ensemble
 
 #: most keys that are drawn: with more the figure cannot be read
 _MOST_KEYS = 8
@@ -282,7 +282,7 @@ def most_important(keys: Sequence[str], indices: Sequence[Indices], most: int) -
 
 def _counts(ensemble: Ensemble) -> str:
     """Return in words how many cases there are, and how many of them are not drawn."""
-    status = np.array(ensemble.status)[ensemble.in_study]
+    status = np.array(ensemble.status)
     words = [counted(len(status), "case")]
     for word in ("failed", "incomplete"):
         count = int((status == word).sum())

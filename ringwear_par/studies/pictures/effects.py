@@ -15,9 +15,9 @@ from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Po
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
+from ringwear_par.studies.end_values import display_of, final_name
+from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.pictures.choice import LOG_VALUE, Arrangement, Choice, Key, spans
-from ringwear_par.studies.storage.end_values import display_of, final_name
-from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: most cases that are points against a key, and most without a running median
 _POINTS, _MANY = 1000, 200

@@ -14,9 +14,9 @@ from ringwear_par.pictures.panel import GREY, Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.studies.analysis.responses import chosen_cases
+from ringwear_par.studies.end_values import display_of
+from ringwear_par.studies.ensemble import Ensemble
 from ringwear_par.studies.pictures.choice import LOG_VALUE, Choice, spans
-from ringwear_par.studies.storage.end_values import display_of
-from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: most cases that are drawn one by one
 FEW = 12

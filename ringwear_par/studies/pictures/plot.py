@@ -72,8 +72,8 @@ def plot(
             )
         if not path.is_dir():
             return of_width(draw_rig(read_case(path)), width)
+        from ringwear_par.studies.ensemble import read_ensemble
         from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
-        from ringwear_par.studies.storage.ensemble import read_ensemble
 
         return of_width(draw_sweep_and_surrogate(read_ensemble(path)), width)
     return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)

@@ -21,7 +21,7 @@ from ringwear_par.results.variables import (
     TIMES_THROUGH,
     Variable,
 )
-from ringwear_par.studies.storage.stored_variables import (
+from ringwear_par.studies.stored_variables import (
     BODY,
     FIELDS,
     OF_A_CASE,

@@ -1,8 +1,6 @@
 """The variables of a sweep's files, in one table: of its cases, and of each case over them all."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
@@ -41,11 +39,8 @@ STORED = {**AT_STATES, **LINE, **FIELDS, **OF_A_CASE}
 OF_CASES = {
     variable.name: variable
     for variable in (
-        Variable("case_toml", ("case",), "1", "the case as a case file"),
         Variable("status", ("case",), "1", "done, failed or incomplete"),
         Variable("error", ("case",), "1", "why the case failed"),
-        Variable("in_study", ("case",), "1", "whether the study still has the case"),
-        Variable("version", ("case",), "1", "version of ringwear-par that computed the case"),
         Variable(
             "flags", ("case",), "1",
             "what makes the answer doubtful or ended the case early, separated by commas",
@@ -92,20 +87,3 @@ def entry_label(variable: Variable, entry: str) -> str:
     if entry == BODY:
         return "the body itself"
     return f"{axis_of(variable).removesuffix('_upper')} {entry}"
-
-
-def sizes_of(columns: Mapping[str, Any]) -> dict[str, int]:
-    """Return the sizes of all axes but those of cases and steps of some columns."""
-    sizes: dict[str, int] = {}
-    for name, values in columns.items():
-        sizes.update(zip(_axes(name), values.shape[-1:], strict=False))
-    return sizes
-
-
-def shape_of(name: str, sizes: Mapping[str, int]) -> tuple[int, ...]:
-    """Return the shape of a variable at one state, or of one case."""
-    return tuple(sizes[axis] for axis in _axes(name))
-
-
-def _axes(name: str) -> tuple[str, ...]:
-    return tuple(axis for axis in STORED[name].dimensions if axis != "step")

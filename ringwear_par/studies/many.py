@@ -2,26 +2,29 @@
 
 import logging
 from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
 from ringwear_par.history.derivatives.keys import check_derivatives
 from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
+from ringwear_par.studies.blocks import pair_of
 from ringwear_par.studies.definition.variations import is_whole
-from ringwear_par.studies.execution.batches import computed
+from ringwear_par.studies.together import computed, most_together
 
 log = logging.getLogger(__name__)
+
+#: most cases of a block: more would be a little quicker, but leave fewer for other ranks
+_MOST = 512
 
 
 def simulate_all(
@@ -34,14 +37,14 @@ def simulate_all(
     """Return the wear histories of many cases, in their order.
 
     Collective on comm, the world's where none is given; every rank gets all of them. Cases that can
-    share a contact pair do; each is simulated by one rank. A case that fails does not disturb the
-    others.
+    share a contact pair do; blocks of them, each of one rank, are dealt in turn. A case that fails
+    does not disturb the others.
 
     Parameters
     ----------
     cases : the same on all ranks.
-    batch : most histories that a rank steps side by side; None: as many as are quickest. Results
-        do not depend on it.
+    batch : most cases of a block; None: as many as are quickest. Results depend on it by round-off
+        only, and not on the number of ranks.
     derivatives : keys that all results are to have derivatives with respect to, as of ``simulate``.
 
     Returns
@@ -85,10 +88,9 @@ def results_of(
 ) -> list[Result | FailedResult]:
     """Return the histories of cases on all ranks, see ``simulate_all``. Collective on comm.
 
-    Cases end alike where they share step times (s); paces (2, steps) are factors on the rates of
-    each.
+    Blocks of cases of one contact pair are computed by the ranks in turn. Cases end alike where
+    they share step times (s); paces (2, steps) are factors on the rates of each.
     """
-    steps = None if step_times is None else [step_times] * len(cases)
     results: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, checked in enumerate(_checked(cases, comm, derivatives)):
@@ -96,31 +98,38 @@ def results_of(
             results[number] = checked
         else:
             groups[checked].append(number)
-    if groups and any(case.stress is not None for case in cases):
-        load_stress_kernels(comm)
-    dealt: list[int] = []  # in turn to all ranks, whatever the groups
-    waiting: list[tuple[ContactPair, list[int]]] = []
+    blocks = []
     for numbers in groups.values():
+        size = batch or min(most_together(cases[numbers[0]]), _MOST)
+        blocks += [numbers[i : i + size] for i in range(0, len(numbers), size)]
+    pairs: dict[Hashable, ContactPair] = {}
+
+    def computed_block(numbers: Sequence[int]) -> list[Result | FailedResult]:
+        """Return the results of cases of a contact pair, by this rank alone."""
+        chosen = [cases[number] for number in numbers]
+        found: list[Any] = [None] * len(chosen)
         try:
-            with together(comm):
-                pair = assemble(cases[numbers[0]], comm)
-        except Exception as error:
-            results.update((n, _failed(cases[n], error)) for n in numbers)
-            continue
-        rounds = len(dealt) // comm.size
-        mine = numbers[(comm.rank - len(dealt)) % comm.size :: comm.size]
-        dealt += numbers
-        if mine:
-            waiting.append((pair, mine))
-        if len(dealt) // comm.size > rounds:  # every rank has something to do
-            with together(comm):
-                results.update(_simulated(cases, waiting, batch, derivatives, steps, paces))
-            waiting = []
+            pair = pair_of(chosen[0], pairs, MPI.COMM_SELF)
+            parts = computed(
+                chosen, [pair] * len(chosen), results=True, derivatives=derivatives,
+                step_times=None if step_times is None else [step_times] * len(chosen),
+                paces=None if paces is None else [paces[number] for number in numbers],
+            )  # fmt: skip
+            for part in parts:
+                for place, result in zip(part.numbers, part.results(), strict=True):
+                    found[place] = result
+        except Exception as error:  # the same for all of them
+            found = [error] * len(chosen)
+        return [
+            _failed(case, result) if isinstance(result, Exception) else result
+            for case, result in zip(chosen, found, strict=True)
+        ]
+
     with together(comm):  # or the others would wait for its results
-        results.update(_simulated(cases, waiting, batch, derivatives, steps, paces))
-    if comm.size > 1:
-        for place, number in enumerate(dealt):  # one by one: all might be too much for a message
-            results[number] = comm.bcast(results.get(number), place % comm.size)
+        mine = [computed_block(numbers) for numbers in blocks[comm.rank :: comm.size]]
+    for i, numbers in enumerate(blocks):  # one by one: all might be too much for a message
+        part = mine[i // comm.size] if i % comm.size == comm.rank else None
+        results.update(zip(numbers, comm.bcast(part, i % comm.size), strict=True))
     return [results[number] for number in range(len(cases))]
 
 
@@ -144,30 +153,6 @@ def _checked(
             checked.append(_failed(case, error))
     parts = comm.allgather(checked)
     return [parts[number % comm.size][number // comm.size] for number in range(len(cases))]
-
-
-def _simulated(
-    cases: Sequence[Case],
-    work: Sequence[tuple[ContactPair, Sequence[int]]],
-    batch: int | None,
-    derivatives: Sequence[str],
-    steps: Sequence[Sequence[float]] | None,
-    paces: Sequence[FloatArray] | None,
-) -> Iterator[tuple[int, Result | FailedResult]]:
-    """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
-    for pair, numbers in work:
-        chosen = [cases[number] for number in numbers]
-        blocks = computed(
-            chosen, pair, batch=batch, results=True, derivatives=derivatives,
-            step_times=None if steps is None else steps[: len(chosen)],
-            paces=None if paces is None else [paces[n] for n in numbers],
-        )  # fmt: skip
-        for block in blocks:
-            for place, result in zip(block.numbers, block.results(), strict=True):
-                if isinstance(result, Exception):
-                    yield numbers[place], _failed(chosen[place], result)
-                else:
-                    yield numbers[place], result
 
 
 def _failed(case: Case, error: Exception) -> FailedResult:

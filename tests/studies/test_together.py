@@ -7,7 +7,7 @@ from parts import parse_case, restored, run_case
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.studies.execution.many import simulate_all
+from ringwear_par.studies.many import simulate_all
 
 ALONE = MPI.COMM_SELF
 

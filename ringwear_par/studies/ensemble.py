@@ -1,17 +1,18 @@
 """The results of a sweep, to be looked at: with xarray, or variable by variable."""
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
-import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import BY_PATH, base_unit
 from ringwear_par.cases.units import factor
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_toml
 from ringwear_par.results.hdf5 import (
     find_array,
@@ -21,9 +22,8 @@ from ringwear_par.results.hdf5 import (
 )
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
 from ringwear_par.studies.definition.variations import Variation, path_of, read_variations
-from ringwear_par.studies.storage.end_values import END_VALUES, MAIN_END_VALUES, entries
-from ringwear_par.studies.storage.results_file import FILE_KIND, RESULTS, SOFTWARE, split_flags
-from ringwear_par.studies.storage.stored_variables import (
+from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
+from ringwear_par.studies.stored_variables import (
     AT_STATES,
     FIELDS,
     OF_CASES,
@@ -32,6 +32,11 @@ from ringwear_par.studies.storage.stored_variables import (
 
 if TYPE_CHECKING:
     import xarray
+
+#: files of a sweep, and what the first one says of itself
+RESULTS, TABLE = "results.h5", "cases.csv"
+SOFTWARE, FILE_KIND = "ringwear-par sweep", "a results file of ringwear sweep"
+_SEPARATOR = ", "
 
 
 @dataclass(frozen=True)
@@ -44,8 +49,6 @@ class Ensemble:
     ids: tuple[str, ...]
     status: tuple[str, ...]
     error: tuple[str, ...]
-    #: (cases,) bool
-    in_study: BoolArray
     #: (cases,) float
     seconds: FloatArray
     #: (cases,) int
@@ -56,7 +59,7 @@ class Ensemble:
     units: dict[str, str]
     #: last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored
     final: dict[str, FloatArray]
-    #: of the file: ``method`` of the design, ``study``, ``status``, versions
+    #: of the file: ``method`` of the design, ``study``, its base ``case``, ``status``, versions
     attributes: dict[str, Any]
     #: reasons to doubt the answer of a case, (cases,)
     flags: tuple[tuple[str, ...], ...] = ()
@@ -98,11 +101,6 @@ class Ensemble:
             sizes = {"case": len(self.ids)}
             return find_array(file, over_cases(AT_STATES[name]), sizes)[cases]
 
-    def text(self, case: int) -> str:
-        """Read a case as a case file."""
-        with reading(self.path, SOFTWARE, FILE_KIND) as file:
-            return str(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
-
     def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
         """Read profiles of some cases (increasing numbers), or the mid-points "r" of elements.
 
@@ -123,17 +121,16 @@ def read_ensemble(folder: Path) -> Ensemble:
     path = folder if folder.name == RESULTS and folder.is_file() else folder / RESULTS
     if not path.exists():
         raise InputError(
-            f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
-            "goes on where it was interrupted"
+            f"{path}: does not exist; must be written by ringwear sweep, which goes on where it "
+            "was interrupted"
         )
     with reading(path, SOFTWARE, FILE_KIND) as file:
         sizes: dict[str, int] = {}
-        ids, status, error, in_study = (
-            tuple(find_texts(file, name, sizes)[:])
-            for name in ("case", "status", "error", "in_study")
+        ids, status, error = (
+            tuple(find_texts(file, name, sizes)[:]) for name in ("case", "status", "error")
         )
         attributes = dict(file.attrs)
-        if missing := {"method", "study", "status", "ranks"} - attributes.keys():
+        if missing := {"method", "study", "case", "status", "ranks"} - attributes.keys():
             raise ValueError(missing)
         varied = attributes["coordinates"].split()
         steps = find_array(file, over_cases(HISTORIES["time"]), sizes).shape[1]
@@ -141,7 +138,7 @@ def read_ensemble(folder: Path) -> Ensemble:
         if not ((stored >= 0) & (stored <= steps)).all():
             raise ValueError("steps_stored")
         return Ensemble(
-            path, ids, status, error, np.array([word == "yes" for word in in_study]),
+            path, ids, status, error,
             read_array(file, OF_CASES["seconds"], sizes), stored,
             {name: _varied(file, name, sizes) for name in varied},
             {name: file[name].attrs["units"] for name in varied},
@@ -193,3 +190,23 @@ def open_ensemble(folder: Path | str) -> "xarray.Dataset":
     import xarray
 
     return xarray.open_dataset(read_ensemble(Path(folder)).path, engine="h5netcdf")
+
+
+def join_flags(flags: Sequence[str]) -> str:
+    """Return the flags of a case as files store them."""
+    return _SEPARATOR.join(flags)
+
+
+def split_flags(text: str) -> tuple[str, ...]:
+    """Return the flags that a file stores of a case."""
+    return tuple(text.split(_SEPARATOR)) if text else ()
+
+
+def count_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
+    """Return a sentence on how many cases are flagged, and for which reasons."""
+    counts: Counter[str] = Counter()
+    for flags, n in flagged.items():
+        counts.update(dict.fromkeys(flags, n))
+    words = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
+    total = sum(flagged.values())
+    return f"{counted(total, 'case')} flagged: {words}; see flags in {TABLE}"

@@ -1,1 +1,0 @@
-"""Sweeps at work: plans, teams, cases side by side."""

@@ -1,1 +1,0 @@
-"""Folders of sweeps: blocks of cases, results.h5, cases.csv."""

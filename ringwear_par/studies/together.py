@@ -1,0 +1,141 @@
+"""Histories that step together: which cases do, how many at a time, and what comes of them."""
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.history.elastic.bodies import shares_reference, young
+from ringwear_par.history.lockstep import batch_key, can_share
+from ringwear_par.history.loop import simulate
+from ringwear_par.history.observers.stresses import CaseStresses, stress_key
+from ringwear_par.history.refusals.cases import stress_numbers
+from ringwear_par.results.recorder import Recorder
+from ringwear_par.results.result import HistoryColumns, Result
+from ringwear_par.results.variables import HISTORIES
+
+#: numbers of histories that step together, of which one has about so many fields, and most of them
+_NUMBERS, _FIELDS, MOST = 2**21, 32, 2048
+#: bytes of the stored histories of cases that step together: they are in memory until all have
+#: ended
+_STORED_BYTES = 64e6
+#: s, about, of a step of one of many histories of 64 elements, and of one whose elements follow the
+#: wear; longest work that is lost with its process
+_STEP_SECONDS, _MOVING_STEP_SECONDS, _BLOCK_SECONDS = 5e-6, 5e-2, 10.0
+
+
+def most_together(case: Case, assembly: float = 0.0) -> int:
+    """Return how many histories like a case's are computed together, whatever the ranks.
+
+    More of them share the time that Python takes for each operation: 64 elements, one core, 512,
+    1,024 and 2,048 of them: 460, 404 and 374 us a history, in 60 kB of memory each. Fewer where
+    they are long, or large.
+
+    Parameters
+    ----------
+    assembly : s, of contact pairs, for each case.
+    """
+    n, rows = case.mesh.contact_elements, case.stored_rows
+    size = 8.0 * rows * (len(HISTORIES) + 2)  # with their numbers and steps
+    size += 8.0 * n * len(case.output.fields) * (rows if case.output.profiles == "all" else 1.0)
+    if case.stress is not None:
+        size += 8.0 * stress_numbers(case)[1]
+    step = _MOVING_STEP_SECONDS if case.follows_wear else _STEP_SECONDS
+    seconds = assembly + step * case.about_steps * (1.0 + (n / 64.0) ** 2)
+    most = min(_side_by_side([case]), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
+    return max(int(most), 1)
+
+
+def _side_by_side(cases: Sequence[Case]) -> int:
+    """Return how many histories step at a time, for their matrices to stay in the cache."""
+    n = cases[0].mesh.contact_elements
+    matrices = len({young(case) for case in cases if not shares_reference(case)}) > 1
+    fields = max(_FIELDS, n) if matrices else _FIELDS
+    return min(max(_NUMBERS // (fields * n), 16), MOST)
+
+
+def groups_of(cases: Sequence[Case]) -> list[list[int]]:
+    """Return the numbers of cases of one contact pair that step together, group by group."""
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, case in enumerate(cases):
+        key = batch_key(case)
+        groups[("alone", number) if key is None else key].append(number)
+    parts: list[list[int]] = []
+    for numbers in groups.values():
+        alone = len(numbers) > 1 and not can_share(cases[numbers[0]])
+        numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
+        parts += [[number] for number in numbers] if alone else [numbers]
+    return parts
+
+
+@dataclass(frozen=True)
+class Computed:
+    """Cases that were computed together."""
+
+    #: of the cases among all
+    numbers: tuple[int, ...]
+    #: of their histories
+    recorder: Recorder
+    #: why some of them failed, by place in ``numbers``
+    failures: dict[int, Exception]
+
+    @property
+    def columns(self) -> HistoryColumns:
+        """The histories as they are stored, in the order of the numbers."""
+        return self.recorder.columns(self.failures)
+
+    def results(self) -> list[Result | Exception]:
+        """Return the results, or why there are none."""
+        return self.recorder.results(self.failures)
+
+
+def computed(
+    cases: Sequence[Case],
+    pairs: Sequence[ContactPair],
+    comm: MPI.Comm = MPI.COMM_SELF,
+    *,
+    results: bool = False,
+    derivatives: Sequence[str] = (),
+    step_times: Sequence[Sequence[float]] | None = None,
+    paces: Sequence[FloatArray] | None = None,
+) -> list[Computed]:
+    """Compute cases, those that can side by side. Collective on comm.
+
+    Cases share a contact pair, or contact elements where each has a pair. Failures are among what
+    is returned. Results, derivatives by keys, step times and paces only where asked for, see
+    ``history.loop``.
+    """
+    done, stresses = [], _stresses(comm)
+    for numbers in groups_of(cases):
+        chosen = [cases[number] for number in numbers]
+        recorder = Recorder(
+            chosen, comm, derivatives=derivatives, stresses=stresses, results=results
+        )
+        outcome = simulate(
+            chosen, comm, pair=[pairs[n] for n in numbers], observers=[recorder],
+            most_together=_side_by_side(chosen), derivatives=derivatives,
+            step_times=None if step_times is None else [step_times[n] for n in numbers],
+            paces=None if paces is None else [paces[n] for n in numbers],
+        )  # fmt: skip
+        done.append(Computed(tuple(numbers), recorder, outcome.failures))
+    return done
+
+
+def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses | None]:
+    """Return what makes the stresses of unit loads of a case, integrated once for all alike."""
+    made: dict[Hashable, CaseStresses] = {}
+
+    def stresses(case: Case) -> CaseStresses | None:
+        if case.stress is None:
+            return None
+        key = stress_key(case)
+        if key not in made:
+            made.clear()
+            made[key] = CaseStresses(case, comm)
+        return made[key]
+
+    return stresses
