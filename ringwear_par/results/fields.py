@@ -185,14 +185,6 @@ def side_words(numbers: FloatArray) -> Any:
     return np.array(POINT_SIDES, dtype="S")[np.nan_to_num(numbers).astype(int)]
 
 
-def side_numbers(words: Any) -> FloatArray:
-    """Return the numbers of sides."""
-    numbers = np.full(words.shape, np.nan)
-    for number, side in enumerate(POINT_SIDES):
-        numbers[words == side.encode()] = number
-    return numbers
-
-
 # -- boundaries ------------------------------------------------------------------------------------
 
 

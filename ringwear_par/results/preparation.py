@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from ringwear_par.cases.case import Case, Output
+from ringwear_par.cases.case import SAME_TIME, Case, Output
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.cases.files.reading import read_case
@@ -128,17 +128,11 @@ def _difference(before: Result, case: Case) -> str:
             f"holds another case; --restart needs the same case, only {growing} and limits in "
             "[stop] may change"
         )
-    reached = restored(before)
-    time, steps = float(reached.state.time[0]), int(reached.progress.steps[0])
-    if case.time.adaptive and time > case.time.end:
+    reached = float(restored(before).state.time[0])
+    if reached > case.time.end * (1.0 + SAME_TIME):
         return (
-            f"holds {time:g} s, time.end = {case.time.end:g}: must be at least "
-            "as long with --restart"
-        )
-    if not case.time.adaptive and steps > case.time.steps:
-        return (
-            f"holds {steps} steps, time.steps = {case.time.steps}: must be at "
-            "least as many with --restart"
+            f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
+            "long with --restart"
         )
     return ""
 

@@ -307,11 +307,6 @@ class HistoryColumns:
     whole: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
-    def count(self) -> int:
-        """Number of the histories."""
-        return len(self.status)
-
-    @property
     def deep(self) -> bool:
         """Whether the profiles are stored as often as the histories."""
         return all(len(values) == len(self.steps) for values in self.profiles.values())

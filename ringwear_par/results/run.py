@@ -31,44 +31,6 @@ log = logging.getLogger(__name__)
 CHECKPOINT_SECONDS = 30.0
 
 
-class CheckpointWatch:
-    """Observer in which ranks meet after every step, for a checkpoint or to stop.
-
-    Parameters
-    ----------
-    signals : noted here, acted upon when one of the ranks has received one.
-    save : writes a checkpoint of what there is; collective.
-    comm : communicator; calls are collective, and answered alike on all ranks.
-    """
-
-    def __init__(self, signals: StopSignals, save: Callable[[], object], comm: MPI.Comm) -> None:
-        self._signals, self._save, self._comm = signals, save, comm
-        self._saved = time.perf_counter()
-        #: whether the last checkpoint was written
-        self._written = True
-        #: the signal that the ranks agreed to stop for, or 0
-        self.agreed = 0
-
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Return whether to stop after this state. Collective."""
-        if snapshot.passing or snapshot.step is None:
-            return False
-        due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
-        request = np.array([self._signals.received, due], dtype=np.int64)
-        self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
-        self.agreed = int(request[0])
-        if request[1] and not self.agreed and not snapshot.finished.all():
-            try:
-                self._save()
-                self._written = True
-            except ComputationError as error:
-                if self._written and self._comm.rank == 0:
-                    log.warning("checkpoint not written, going on: %s", error)
-                self._written = False
-            self._saved = time.perf_counter()
-        return self.agreed != 0
-
-
 def run_case(
     path: Path,
     output: Path,
@@ -113,20 +75,19 @@ def run_case(
     if (start := recorder.start) is not None and first:
         steps, reached = start.progress.steps[0], start.state.time[0]
         log.info("continuing %s after step %d (%g s)", output, steps, reached)
-    file, signals = _ResultFile(output, recorder, comm), StopSignals()
-    watch = CheckpointWatch(signals, file.save, comm)
+    run = Run(case, output, recorder, comm)
     with ExitStack() as handlers:
 
-        def note_signals(snapshot: Snapshot) -> bool:
+        def begin(snapshot: Snapshot) -> bool:
             """Stop after a step, not at once, as soon as there is a state: an observer."""
-            if not signals.noted:
+            if not run.signals.noted:
                 if before is None and not overwrite and first:
                     announce_replacement(output)
-                handlers.enter_context(signals)
+                handlers.enter_context(run.signals)
             return False
 
-        _step(case, path, file, [note_signals, watch])
-        result = file.save_at_end()
+        _step(run, path, [recorder, begin, run])
+        result = run.save_at_end()
         if first:
             print("\n".join(_lines(result, output, recorder, verbose)))
         last = recorder.last
@@ -135,26 +96,55 @@ def run_case(
                 steps, reached = int(last.progress.steps[0]), float(last.state.time[0])
                 how_far = f"(at {reached:g} of {case.time.end:g} s)"
                 raise ComputationError(
-                    f"stopped by {name_of(watch.agreed)} after step {steps} "
+                    f"stopped by {name_of(run.agreed)} after step {steps} "
                     f"{how_far if case.time.adaptive else f'of {case.time.steps}'}; {output} holds "
                     "them, and the same command with --restart continues"
                 )
     return _draw(output, figure, comm)
 
 
-class _ResultFile:
-    """The result file of a history under way."""
+class Run:
+    """A history under way and its file: an observer in which ranks meet after every step.
 
-    def __init__(self, path: Path, recorder: Recorder, comm: MPI.Comm) -> None:
-        self.path, self.recorder, self.comm = path, recorder, comm
+    They write a checkpoint where one is due, and stop where one of them has received a signal.
+    Calls are collective on comm, and answered alike on all ranks.
+    """
+
+    def __init__(self, case: Case, output: Path, recorder: Recorder, comm: MPI.Comm) -> None:
+        self.case, self.output, self.recorder, self.comm = case, output, recorder, comm
+        self.signals = StopSignals()
+        #: the signal that the ranks agreed to stop for, or 0
+        self.agreed = 0
         start = recorder.start
+        #: steps that the file holds, None for none
         self._steps = None if start is None else int(start.progress.steps[0])
+        #: when the last checkpoint was tried, and whether it was written
+        self._saved, self._written = time.perf_counter(), True
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Return whether to stop after this state. Collective."""
+        if snapshot.passing or snapshot.step is None:
+            return False
+        due = self.comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
+        request = np.array([self.signals.received, due], dtype=np.int64)
+        self.comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
+        self.agreed = int(request[0])
+        if request[1] and not self.agreed and not snapshot.finished.all():
+            try:
+                self.save()
+                self._written = True
+            except ComputationError as error:
+                if self._written and self.comm.rank == 0:
+                    log.warning("checkpoint not written, going on: %s", error)
+                self._written = False
+            self._saved = time.perf_counter()
+        return self.agreed != 0
 
     def save(self, error: str = "") -> Result:
         """Write the history so far. Collective."""
         begun = time.perf_counter()
         result = self.recorder.result(error)
-        on_first_rank(self.comm, lambda: write_result(self.path, result))
+        on_first_rank(self.comm, lambda: write_result(self.output, result))
         self.recorder.seconds_output += time.perf_counter() - begun
         last = self.recorder.last
         self._steps = None if last is None else int(last.progress.steps[0])
@@ -174,25 +164,22 @@ class _ResultFile:
             raise ComputationError(f"{before}{failure}; {stored}") from failure
 
 
-def _step(
-    case: Case, path: Path, file: _ResultFile, observers: Sequence[Callable[[Snapshot], bool]]
-) -> None:
+def _step(run: Run, path: Path, observers: list[Callable[[Snapshot], bool]]) -> None:
     """Step a history to its end, or until an observer stops it. Collective.
 
     Where a step fails, the steps before it are in the file.
     """
-    recorder, comm, end = file.recorder, file.comm, case.time.end
+    case, recorder, comm, end = run.case, run.recorder, run.comm, run.case.time.end
     with ExitStack() as resources:
-        observers = [recorder, *observers]
         if comm.rank == 0:
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
             progress = resources.enter_context(closing(Progress(end, since)))
 
             def show(snapshot: Snapshot) -> bool:
-                time = float(snapshot.state.time[0])
+                reached = float(snapshot.state.time[0])
                 progress.show(
-                    time, "step %d, time %.6g of %.6g s, approach %.6f mm",
-                    snapshot.progress.steps[0], time, end, snapshot.state.contact.approach[0],
+                    reached, "step %d, time %.6g of %.6g s, approach %.6f mm",
+                    snapshot.progress.steps[0], reached, end, snapshot.state.contact.approach[0],
                 )  # fmt: skip
                 return False
 
@@ -207,9 +194,9 @@ def _step(
                 raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
             if isinstance(error, InputError) or recorder.last is None or not recorder.last.step:
                 raise
-            file.save_at_end(str(error))
+            run.save_at_end(str(error))
             raise ComputationError(
-                f"{path}: {error}. {file.path} holds the steps before it: ringwear plot and "
+                f"{path}: {error}. {run.output} holds the steps before it: ringwear plot and "
                 "report show how it came to that"
             ) from error
 

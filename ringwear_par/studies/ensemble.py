@@ -14,21 +14,9 @@ from ringwear_par.cases.schema import BY_PATH, base_unit
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_toml
-from ringwear_par.results.hdf5 import (
-    find_array,
-    find_texts,
-    read_array,
-    reading,
-)
-from ringwear_par.results.variables import HISTORIES, LINE, Variable
+from ringwear_par.results.hdf5 import reading
 from ringwear_par.studies.definition.variations import Variation, path_of, read_variations
 from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
-from ringwear_par.studies.stored_variables import (
-    AT_STATES,
-    FIELDS,
-    OF_CASES,
-    over_cases,
-)
 
 if TYPE_CHECKING:
     import xarray
@@ -98,8 +86,7 @@ class Ensemble:
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps, ...)."""
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
-            sizes = {"case": len(self.ids)}
-            return find_array(file, over_cases(AT_STATES[name]), sizes)[cases]
+            return file[name][cases]
 
     def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
         """Read profiles of some cases (increasing numbers), or the mid-points "r" of elements.
@@ -107,13 +94,8 @@ class Ensemble:
         They are (len(cases), steps, elements), or (len(cases), elements) of "r" and where those of
         the last step alone are stored, NaN where a case has none; None where no case has.
         """
-        variable = {**LINE, **FIELDS}[name]
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
-            if name not in file:
-                return None
-            if name in FIELDS and file[name].ndim == 2:
-                variable = variable.at_last_step()
-            return find_array(file, over_cases(variable), {"case": len(self.ids)})[cases]
+            return file[name][cases] if name in file else None
 
 
 def read_ensemble(folder: Path) -> Ensemble:
@@ -125,48 +107,39 @@ def read_ensemble(folder: Path) -> Ensemble:
             "was interrupted"
         )
     with reading(path, SOFTWARE, FILE_KIND) as file:
-        sizes: dict[str, int] = {}
-        ids, status, error = (
-            tuple(find_texts(file, name, sizes)[:]) for name in ("case", "status", "error")
+        ids, status, error, flags = (
+            tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")
         )
         attributes = dict(file.attrs)
         if missing := {"method", "study", "case", "status", "ranks"} - attributes.keys():
             raise ValueError(missing)
         varied = attributes["coordinates"].split()
-        steps = find_array(file, over_cases(HISTORIES["time"]), sizes).shape[1]
-        stored = read_array(file, OF_CASES["steps_stored"], sizes)
-        if not ((stored >= 0) & (stored <= steps)).all():
+        stored = file["steps_stored"][:]
+        if not ((stored >= 0) & (stored <= file["time"].shape[1])).all():
             raise ValueError("steps_stored")
         return Ensemble(
             path, ids, status, error,
-            read_array(file, OF_CASES["seconds"], sizes), stored,
-            {name: _varied(file, name, sizes) for name in varied},
+            file["seconds"][:], stored, {name: _varied(file, name) for name in varied},
             {name: file[name].attrs["units"] for name in varied},
-            _final(file, sizes), attributes, _flags(file, sizes),
+            _final(file), attributes, tuple(map(split_flags, flags)),
         )  # fmt: skip
 
 
-def _final(file: h5py.File, sizes: dict[str, int]) -> dict[str, FloatArray]:
+def _final(file: h5py.File) -> dict[str, FloatArray]:
     """Return the last values that all cases have, and those others that are stored."""
     columns: dict[str, FloatArray] = {}
     for end_value in END_VALUES.values():
         if end_value.name in MAIN_END_VALUES or end_value.stored.name in file:
-            columns |= entries(end_value, read_array(file, end_value.stored, sizes))
+            columns |= entries(end_value, file[end_value.stored.name][()])
     return columns
 
 
-def _flags(file: h5py.File, sizes: dict[str, int]) -> tuple[tuple[str, ...], ...]:
-    """Return the flags of each case."""
-    return tuple(split_flags(text) for text in find_texts(file, "flags", sizes)[:])
-
-
-def _varied(file: h5py.File, name: str, sizes: dict[str, int]) -> Any:
+def _varied(file: h5py.File, name: str) -> Any:
     """Return the values of a varied key: numbers, or texts."""
     if path_of(name) not in BY_PATH:
         raise ValueError(name)
-    if file[name].dtype.kind == "f":
-        return read_array(file, Variable(name, ("case",), "", ""), sizes)
-    return find_texts(file, name, sizes)[:]
+    values = file[name]
+    return values[:] if values.dtype.kind == "f" else values.asstr()[:]
 
 
 def open_ensemble(folder: Path | str) -> "xarray.Dataset":

@@ -20,7 +20,7 @@ ROOMS = {
     "cases schedules.py errors.py": 5272,
     "files": 1240,
     "measuring": 2517,
-    "results": 4595,
+    "results": 4489,
     "studies": 4955,
     "identification": 8605,
     "prediction monitoring": 1972,
