@@ -17,13 +17,10 @@ from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
 from ringwear_par.prediction.predict import predict as predict
 from ringwear_par.prediction.prediction import Prediction as Prediction
 from ringwear_par.reports.report import report as report
-from ringwear_par.results.execution.simulate import simulate as simulate
+from ringwear_par.results.files import open_result as open_result
 from ringwear_par.results.result import FailedResult as FailedResult
 from ringwear_par.results.result import Result as Result
-from ringwear_par.results.result import save as save
-from ringwear_par.results.result import summary as summary
-from ringwear_par.results.result import to_dict as to_dict
-from ringwear_par.results.storage.result_files import open_result as open_result
+from ringwear_par.results.simulate import simulate as simulate
 from ringwear_par.studies.ensemble import open_ensemble as open_ensemble
 from ringwear_par.studies.many import simulate_all as simulate_all
 from ringwear_par.studies.pictures.plot import plot as plot

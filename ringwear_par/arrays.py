@@ -63,11 +63,6 @@ def relative(off: Any, exact: Any) -> Any:
     return np.divide(off, exact, out=np.zeros_like(exact), where=~(exact <= 0.0))
 
 
-def is_one_number(values: FloatArray) -> bool:
-    """Tell whether all entries are one number in memory, broadcast to a shape."""
-    return values.size > 0 and not any(values.strides)
-
-
 def read_only(values: FloatArray) -> FloatArray:
     """Return a view that cannot be written to."""
     view = values.view()

@@ -117,7 +117,7 @@ def parser() -> argparse.ArgumentParser:
 
     lines.append("\nsimulate:")
     a = command(
-        "run", "compute one wear history", "results.execution.run:run_case",
+        "run", "compute one wear history", "results.run:run_case",
         "ringwear run case.toml -o run.h5\n  "
         "ringwear run case.toml -o soft.h5 --set load.pressure=50 wear.lower.k='1e-5 mm3/(N m)'",
         "solves")

@@ -25,7 +25,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.start import first_contact
 from ringwear_par.parallel import together
-from ringwear_par.results.execution.simulate import simulate
+from ringwear_par.results.simulate import simulate
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: Poisson's ratio of all bodies

@@ -35,7 +35,7 @@ import ringwear_par as rw
 SCRIPTS = Path(__file__).resolve().parent
 RINGWEAR = [sys.executable, "-m", "ringwear_par"]
 #: what differs between two runs of the same code: clocks, software, ranks, temporary places
-_VOLATILE = re.compile(r"(^|/)(seconds\w*|\w*versions?|mpi_library|ranks|begun_by|lock)$")
+_VOLATILE = re.compile(r"(^|/)(seconds\w*|\w*versions?|mpi_library|ranks|lock)$")
 _VOLATILE_LINES = re.compile(
     r"seconds|a second|peak memory|time of the ranks|kernel evaluations|starts have ended"
 )

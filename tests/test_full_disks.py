@@ -12,7 +12,7 @@ from paths import PAPER
 from swept import variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.results.execution import run as run_command
+from ringwear_par.results import run as run_command
 
 pytestmark = pytest.mark.slow
 SMALL = ["--set", "mesh.contact_elements=16", "time.steps=20"]

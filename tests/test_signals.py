@@ -106,7 +106,7 @@ def test_nohup_is_respected():
     program = """
 import os, signal, sys
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.signals import StopSignals
 with StopSignals() as signals:
     os.kill(os.getpid(), signal.SIGHUP)
     os.kill(os.getpid(), signal.SIGTERM)
@@ -117,7 +117,7 @@ sys.exit(signals.received != signal.SIGTERM)
 
 def test_everything_works_in_any_thread(tmp_path, comm):
     """Only the main thread may take signals over."""
-    from ringwear_par.results.execution.run import run_case
+    from ringwear_par.results.run import run_case
 
     case = rw.read_case(PAPER, SMALL)
     study = {"case": str(PAPER), "vary": {"load.pressure": {"values": [40, 80]}}}

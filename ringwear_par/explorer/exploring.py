@@ -19,7 +19,7 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 
 #: about how many states of fixed steps are kept: more would not be seen

@@ -18,7 +18,7 @@ from ringwear_par.identification.likelihood import Setting
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import settings_at
 from ringwear_par.identification.summary import KeyRow
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.signals import StopSignals
 
 
 def expectation(problem: Problem, comm: MPI.Intracomm) -> str:

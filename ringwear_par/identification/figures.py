@@ -70,13 +70,6 @@ def drawn_series(
     )  # fmt: skip
 
 
-def plot_parameters(fit: FitResult) -> Figure:
-    """Return densities of the keys on the diagonal, draws of pairs before it."""
-    values = fit.draws.values(fit.draws.material)
-    rows = key_panels.fitted_keys(fit.to_dict(), dict(zip(fit.draws.keys, values.T, strict=True)))
-    return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
-
-
 def plot_specimens(fit: FitResult) -> Figure:
     """Return the values of specimens and material of each key that scatters, or InputError."""
     outcome = fit.to_dict()

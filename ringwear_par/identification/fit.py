@@ -24,12 +24,12 @@ from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.identification.solution import Solution, solve
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.laboratory_numbers import (
     LABORATORY_NUMBERS,
     laboratory_inputs,
     laboratory_numbers,
 )
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 #: draws of each chain that are kept; of them, how many tell bands and nuisances

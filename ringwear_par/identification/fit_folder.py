@@ -26,7 +26,7 @@ from ringwear_par.identification.draws import write_draws
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
 from ringwear_par.pictures.style import picture
-from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
 FILES = (FIT, READINGS, POSTERIOR, CURVES, ESTIMATES, SPECIMENS)

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -20,7 +21,6 @@ from ringwear_par.results.result import Outcome
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ROOM = "ringwear_par.identification"
 #: p-value below which a model does not fit
 IMPROBABLE = 1e-3
 
@@ -42,13 +42,6 @@ class FitResult(Outcome):
     alternatives : outcomes under other laws, by name.
     failed : why there is no outcome under some other laws, by name.
     """
-
-    functions: ClassVar = {
-        "summary": f"{_ROOM}.summary", "to_dict": f"{_ROOM}.fit_numbers",
-        "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
-        "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
-        "doubts": f"{_ROOM}.doubts",
-    }  # fmt: skip
 
     problem: Problem
     solution: Solution
@@ -139,7 +132,9 @@ class FitResult(Outcome):
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
         """What speaks against taking the numbers as they are."""
-        return tuple(self.apply("doubts"))
+        from ringwear_par.identification.doubts import doubts
+
+        return tuple(doubts(self))
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
@@ -187,10 +182,38 @@ class FitResult(Outcome):
             for measured in experiment.inputs
         ]  # fmt: skip
 
+    def summary(self) -> str:
+        """Return it in a few lines, as the command prints it."""
+        from ringwear_par.identification.summary import summary
+
+        return summary(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of fit.json."""
+        from ringwear_par.identification.fit_numbers import to_dict
+
+        return to_dict(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the files of its folder, see ``Outcome.save``."""
+        from ringwear_par.identification.fit_folder import save
+
+        save(self, Path(path))
+
+    def plot(self) -> "Figure":
+        """Return the figure of data, model, its band and residuals."""
+        from ringwear_par.identification.figures import plot
+
+        return plot(self)
+
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: draws of each, and of pairs."""
-        figure: Figure = self.apply("plot_parameters")
-        return figure
+        from ringwear_par.pictures import key_panels
+        from ringwear_par.pictures.matplotlib import panel_figure
+
+        by_key = dict(zip(self.draws.keys, self.draws.values(self.draws.material).T, strict=True))
+        rows = key_panels.fitted_keys(self.to_dict(), by_key)
+        return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
 
     def plot_specimens(self) -> "Figure":
         """Return the figure of the specimens: each one's value, the material's, the next one's.
@@ -199,8 +222,9 @@ class FitResult(Outcome):
         ------
         InputError : a fit without scatter.
         """
-        figure: Figure = self.apply("plot_specimens")
-        return figure
+        from ringwear_par.identification.figures import plot_specimens
+
+        return plot_specimens(self)
 
 
 def told(draws: FloatArray) -> dict[str, Any]:

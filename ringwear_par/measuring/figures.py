@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.measuring.measure_numbers import entry_text
-from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panel import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
@@ -25,9 +24,9 @@ _GAP = 3.0
 _MICROMETRE = "\N{MICRO SIGN}m"
 
 
-def plot(result: MeasureResult) -> Figure:
+def plot(tests: Mapping[str, Any]) -> Figure:
     """Return a row a test: depth and friction over time, with the steady part and its numbers."""
-    rows = [[*panels(name, entry).values()] for name, entry in result.to_dict()["tests"].items()]
+    rows = [[*panels(name, entry).values()] for name, entry in tests.items()]
     return panel_figure(rows, (_WIDTH * max(map(len, rows)), _HEIGHT * len(rows) + _LEGEND))
 
 

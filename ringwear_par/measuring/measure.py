@@ -10,18 +10,19 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.folders import check_folder
+from ringwear_par.files.folders import MEASURE, MEASURED_ROWS, RECORDS, check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.measuring.analysis.numbers import coverage_fault, numbers_of
 from ringwear_par.measuring.analysis.repeats import repeats_of
 from ringwear_par.measuring.definition.measure_file import read_measure, tables_of
 from ringwear_par.measuring.definition.problem import Problem
-from ringwear_par.measuring.measure_numbers import FILES
 from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.version import __version__
 
 Source = str | Path | Mapping[str, Any] | Sequence[str | Path]
 _TOML = ".toml"
+#: files of the folder of a measurement; the first one is written last, when the folder is complete
+FILES = (MEASURE, MEASURED_ROWS, RECORDS)
 
 
 def measure(

@@ -1,4 +1,4 @@
-"""The numbers of a measurement as people read them: its summary, table, page and folder.
+"""The numbers of a measurement as people read them: in summaries, tables and pages.
 
 Entries of tests are those of measure.json (``MeasureResult.to_dict``).
 """
@@ -6,26 +6,14 @@ Entries of tests are those of measure.json (``MeasureResult.to_dict``).
 import csv
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC
-from ringwear_par.errors import warning_lines
-from ringwear_par.files.folders import (
-    MEASURE,
-    MEASURED_ROWS,
-    RECORDS,
-    json_bytes,
-    write_outcome,
-)
 from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.measure_result import MeasureResult
-from ringwear_par.pictures.style import picture
 
-#: files of the folder of a measurement; the first one is written last, when the folder is complete
-FILES = (MEASURE, MEASURED_ROWS, RECORDS)
 #: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers without one
 _DIGITS, _ALONE = 2, 4
 #: powers of ten below and above which numbers are written with an exponent, and most decimals of a
@@ -147,27 +135,7 @@ def skipped_text(entry: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def summary(result: MeasureResult) -> str:
-    """Return the outcome as the command prints it."""
-    outcome = result.to_dict()
-    tests: Mapping[str, Any] = outcome["tests"]
-    lines = [f"specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
-    if not lines:
-        count = len(tests)
-        lines.append(
-            f"numbers of {'this specimen' if count == 1 else f'these {count} specimens'} only: "
-            "repeats of a material scatter more"
-        )
-    width = max(map(len, tests))
-    for name, entry in tests.items():
-        for number, line in enumerate(_lines(entry)):
-            lines.append(f"{'' if number else name:{width}}  {line}")
-    lines += [f"note: {note}" for note in outcome["notes"]]
-    doubts = [f"{name}: {d['text']}" for name, entry in tests.items() for d in entry["doubts"]]
-    return "\n".join([*lines, *warning_lines(doubts)])
-
-
-def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
+def lines_of(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of a test."""
     specific, rate, friction = (
         entry[name] for name in ("specific_wear_rate", "wear_rate", "friction")
@@ -196,16 +164,6 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     if skipped := skipped_text(entry):
         yield f"skipped: {skipped}"
     yield from entry["notes"]
-
-
-def save(result: MeasureResult, folder: Path) -> None:
-    """Write all files, see ``write_outcome``."""
-    contents: dict[str, Callable[[], bytes | None]] = {
-        RECORDS: lambda: picture(result.plot, str(folder / RECORDS)),
-        MEASURED_ROWS: lambda: table(result).encode(),
-        MEASURE: lambda: json_bytes(result.to_dict()),
-    }
-    write_outcome(folder, "measure", contents)
 
 
 def table(result: MeasureResult) -> str:

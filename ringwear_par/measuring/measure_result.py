@@ -1,12 +1,15 @@
 """The outcome of a measurement: numbers of tests, repeats."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
+from ringwear_par.errors import warning_lines
+from ringwear_par.files.folders import MEASURE, MEASURED_ROWS, RECORDS, json_bytes, write_outcome
 from ringwear_par.measuring.analysis.budget import Estimate, WholeTest
 from ringwear_par.measuring.analysis.numbers import (
     PSI_FT_MIN,
@@ -16,6 +19,9 @@ from ringwear_par.measuring.analysis.numbers import (
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.definition.problem import Problem
 from ringwear_par.results.result import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: most readings of a channel that figures draw
 _MOST_READINGS = 1000
@@ -34,11 +40,6 @@ class MeasureResult(Outcome):
     repeats : tests of the same conditions.
     versions : of the software.
     """
-
-    functions: ClassVar = {
-        "summary": "ringwear_par.measuring.measure_numbers",
-        "save": "ringwear_par.measuring.measure_numbers", "plot": "ringwear_par.measuring.figures",
-    }  # fmt: skip
 
     problem: Problem
     tests: tuple[TestNumbers, ...]
@@ -68,6 +69,42 @@ class MeasureResult(Outcome):
             "versions": dict(self.versions),
             "data": dict(self.problem.hashes),
         }  # fmt: skip
+
+    def summary(self) -> str:
+        """Return the outcome as the command prints it."""
+        from ringwear_par.measuring.measure_numbers import lines_of, repeats_text
+
+        outcome = self.to_dict()
+        tests: Mapping[str, Any] = outcome["tests"]
+        lines = [f"specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
+        if not lines:
+            these = "this specimen" if len(tests) == 1 else f"these {len(tests)} specimens"
+            lines.append(f"numbers of {these} only: repeats of a material scatter more")
+        width = max(map(len, tests))
+        for name, entry in tests.items():
+            for number, line in enumerate(lines_of(entry)):
+                lines.append(f"{'' if number else name:{width}}  {line}")
+        lines += [f"note: {note}" for note in outcome["notes"]]
+        doubts = [f"{name}: {d['text']}" for name, entry in tests.items() for d in entry["doubts"]]
+        return "\n".join([*lines, *warning_lines(doubts)])
+
+    def save(self, path: str | Path) -> None:
+        """Write the files of its folder, see ``Outcome.save``."""
+        from ringwear_par.measuring.measure_numbers import table
+        from ringwear_par.pictures.style import picture
+
+        contents: dict[str, Callable[[], bytes | None]] = {
+            RECORDS: lambda: picture(self.plot, str(Path(path) / RECORDS)),
+            MEASURED_ROWS: lambda: table(self).encode(),
+            MEASURE: lambda: json_bytes(self.to_dict()),
+        }
+        write_outcome(Path(path), "measure", contents)
+
+    def plot(self) -> "Figure":
+        """Return the figure of its records: depth and friction of each test."""
+        from ringwear_par.measuring.figures import plot
+
+        return plot(self.to_dict()["tests"])
 
 
 def _test(numbers: TestNumbers) -> dict[str, Any]:

@@ -35,8 +35,8 @@ from ringwear_par.prediction.prediction import depth_line, read_depth
 from ringwear_par.reports import blocks
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
-from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.key_numbers import time_unit, time_words
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)

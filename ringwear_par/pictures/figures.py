@@ -31,9 +31,9 @@ from ringwear_par.pictures.style import (
     plain,
     save_figure,
 )
+from ringwear_par.results.files import result_of
 from ringwear_par.results.key_numbers import stages
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.results.storage.result_files import result_of
 
 log = logging.getLogger(__name__)
 

@@ -20,10 +20,10 @@ from ringwear_par.pictures.stresses import (
     highest,
     largest,
 )
+from ringwear_par.results.export import boundary_states
 from ringwear_par.results.key_numbers import pressure_peak
+from ringwear_par.results.layers import check_grid, interfaces_of, nearest_states, stresses
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.export import boundary_states
-from ringwear_par.results.subsurface import check_grid, interfaces_of, nearest_states, stresses
 
 #: a panel, or a function that draws what matplotlib alone draws
 Drawing = Panel | partial[None]

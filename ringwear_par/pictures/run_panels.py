@@ -24,8 +24,8 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_numbers,
     schedule_of,
 )
+from ringwear_par.results.layers import ends_near_wear
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import layer_ends_near_wear
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time
 
@@ -199,11 +199,11 @@ def worn_faces(
     for number, body in enumerate(bodies):
         drawn = at_states(result, worn_depth(result, body), rows)
         curves += [replace(curve, dash=number) for curve in drawn] if both else drawn
-        for end in layer_ends_near_wear(result, body):
-            name, depth = f"end of layer {end.layer}", 1e3 * end.depth
+        for layer, end in ends_near_wear(result, body).items():
+            name, depth = f"end of layer {layer}", 1e3 * end
             curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
             place = float(result.line.edges[-1]), float(depth[-1])
-            labels.append(Label(*place, f"layer {end.layer}", below=body == "lower"))
+            labels.append(Label(*place, f"layer {layer}", below=body == "lower"))
     beside = _BESIDE * (outer - inner)
     low, high = max(inner - beside, 0.0), outer + beside
     for ends in ([low, inner], [outer, high]):

@@ -12,9 +12,9 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields
 from ringwear_par.pictures.style import COLOURS
+from ringwear_par.results.export import boundary_states
 from ringwear_par.results.key_numbers import pressure_limit, time_words
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.export import boundary_states
 
 #: what the largest displacement is drawn as, over the size of both bodies; what the deepest face
 #: with its wear is drawn as at most, over the lower body's height

@@ -17,8 +17,8 @@ from ringwear_par.pictures.run_panels import RADIUS, stage_styles
 from ringwear_par.pictures.sections import magnification
 from ringwear_par.pictures.style import CASING, COLOURS
 from ringwear_par.results.key_numbers import instants, time_unit
+from ringwear_par.results.layers import Interface, interfaces_of, stresses
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 
 #: colours of a map, numbers beside its scale, and the share of its values that the scale covers:
 #: those at edges would take it all

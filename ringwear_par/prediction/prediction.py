@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from ringwear_par.files import folders
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS, picture
+from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Outcome
-from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, SOFTWARE, Variable, to_dataset
 from ringwear_par.version import versions
 
@@ -100,8 +100,6 @@ def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
 @dataclass(frozen=True, eq=False)
 class Prediction(Outcome):
     """Histories of a case, one a draw."""
-
-    functions: ClassVar = {}
 
     #: "next specimen", "material" or the name of a specimen; what messages call the fit
     of: str

@@ -11,8 +11,8 @@ from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
+from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Outcome, Result
-from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.ensemble import RESULTS
 from ringwear_par.version import __version__
 

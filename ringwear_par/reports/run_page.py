@@ -21,8 +21,8 @@ from ringwear_par.results.key_numbers import (
     instants,
     key_numbers,
 )
+from ringwear_par.results.layers import nearest_states
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import nearest_states
 from ringwear_par.results.summary import checks, early_end
 
 #: most times on a slider

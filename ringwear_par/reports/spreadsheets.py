@@ -13,8 +13,8 @@ from ringwear_par.files.writing import check_writable
 from ringwear_par.identification.summary import key_rows
 from ringwear_par.measuring.measure_numbers import table_of
 from ringwear_par.reports.fit_page import stored_outcome, stored_readings
-from ringwear_par.results.storage.export import check_tables, titled
-from ringwear_par.results.storage.export import export as export_run
+from ringwear_par.results.export import check_tables, titled
+from ringwear_par.results.export import export as export_run
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.end_values import end_value_of
 from ringwear_par.studies.ensemble import RESULTS, Ensemble, join_flags, read_ensemble
@@ -33,7 +33,7 @@ def export(run: Path, output: Path, decimal: str = "point", **choices: Any) -> s
     Parameters
     ----------
     decimal : "point" or "comma", of numbers in a .csv.
-    choices : of a run, see ``results.storage.export.export``.
+    choices : of a run, see ``results.export.export``.
 
     Raises
     ------

@@ -19,8 +19,8 @@ from ringwear_par.results.laboratory_numbers import (
     laboratory_inputs,
     laboratory_numbers,
 )
+from ringwear_par.results.layers import worn_layers
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 
 #: longest time, s, that is written in a unit, the unit, and its seconds

@@ -4,9 +4,8 @@ They follow from what is stored of a history, so that files do not store them at
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,63 @@ _HOUR = 3600.0
 
 
 @dataclass(frozen=True)
+class LaboratoryNumber:
+    """A number that laboratories report: its variable, and its name among the key numbers."""
+
+    variable: Variable
+    #: name and group of the key number, and its own name within the group
+    key: str
+    group: str
+    label: str
+
+    def at_end(self) -> Variable:
+        """Return the variable of the end of a history."""
+        return replace(self.variable, dimensions=())
+
+
+def _of_bodies(
+    name: str, key: str, label: str, unit: str, meaning: str
+) -> dict[str, LaboratoryNumber]:
+    names = {body: f"{name}_{body}" for body in BODIES}
+    return {
+        names[body]: LaboratoryNumber(
+            Variable(names[body], ("step",), unit, meaning.format(body)),
+            f"{body}_{key}", body, label,
+        )
+        for body in BODIES
+    }  # fmt: skip
+
+
+SLIDING = "sliding at the mean radius"
+#: by name
+LABORATORY_NUMBERS = {
+    **_of_bodies(
+        "mass_lost", "mass", "mass lost", "mg",
+        "mass lost by the {} ring, by its density; nothing where that is not given",
+    ),
+    **_of_bodies(
+        "mean_wear_rate", "mean_rate", "mean rate", "um/h",
+        "mean rate of wear of the {} ring since the start: volume over contact area and time",
+    ),
+    **_of_bodies(
+        "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
+        "specific wear rate of the {} ring since the start: volume over force and distance",
+    ),
+    "sliding_distance": LaboratoryNumber(
+        Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
+        "distance", SLIDING, "distance",
+    ),
+    "pressure_velocity": LaboratoryNumber(
+        Variable(
+            "pressure_velocity", ("step",), "MPa m/s",
+            "p V: mean pressure on the nominal area times speed at the mean radius",
+        ),
+        "p_v", SLIDING, "p V",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
 class LaboratoryInputs:
     """What laboratory numbers follow from: states of one history, or the ends of several."""
 
@@ -31,117 +87,44 @@ class LaboratoryInputs:
     force: FloatArray
     #: (s,) N mm, pressure times sliding distance, over all places; NaN where it is not known
     normal_work: FloatArray
-    #: (s,) rad, slid so far, and rad/s
-    angle: FloatArray
-    omega: FloatArray
+    #: rad/s, a number or a table in time
+    omega: Quantity
     #: mm2, and mm
     area: float
     mean_radius: float
     #: (s, layers + 1) mm3 of lower and upper, the body itself last; None of what does not wear
-    volumes: tuple[FloatArray | None, FloatArray | None]
+    volumes: Sequence[FloatArray | None]
     #: (layers + 1,) or (s, layers + 1) g/mm3, NaN where unknown
-    densities: tuple[FloatArray, FloatArray]
-
-
-def _worn(body: int, inputs: LaboratoryInputs) -> FloatArray | None:
-    volumes = inputs.volumes[body]
-    return None if volumes is None else volumes.sum(axis=1)
-
-
-def _mass(body: int, inputs: LaboratoryInputs) -> FloatArray | None:
-    volumes, densities = inputs.volumes[body], inputs.densities[body]
-    if volumes is None or np.isnan(densities).all():
-        return None
-    lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # nothing lost needs no density
-    return 1e3 * lost.sum(axis=1)
-
-
-def _volume_over(body: int, inputs: LaboratoryInputs, divisor: FloatArray) -> FloatArray | None:
-    """Return the worn volume of a body over a divisor, times 1e3; NaN where that is not positive.
-
-    By 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m).
-    """
-    volume = _worn(body, inputs)
-    if volume is None:
-        return None
-    rates = np.full(volume.shape, np.nan)
-    return np.divide(1e3 * volume, divisor, out=rates, where=divisor > 0.0)
-
-
-@dataclass(frozen=True)
-class LaboratoryNumber:
-    """A number that laboratories report: its variable, and its name among the key numbers."""
-
-    variable: Variable
-    #: name and group of the key number, and its own name within the group
-    key: str
-    group: str
-    label: str
-    #: computes it; None where there is none
-    values: Callable[[LaboratoryInputs], FloatArray | None]
-
-    def at_end(self) -> Variable:
-        """Return the variable of the end of a history."""
-        return replace(self.variable, dimensions=())
-
-
-def _of_bodies(
-    name: str, key: str, label: str, unit: str, meaning: str,
-    values: Callable[[int, LaboratoryInputs], FloatArray | None],
-) -> list[LaboratoryNumber]:  # fmt: skip
-    return [
-        LaboratoryNumber(
-            Variable(f"{name}_{body}", ("step",), unit, meaning.format(body)),
-            f"{body}_{key}", body, label, partial(values, i),
-        )
-        for i, body in enumerate(BODIES)
-    ]  # fmt: skip
-
-
-SLIDING = "sliding at the mean radius"
-#: by name
-LABORATORY_NUMBERS = {
-    number.variable.name: number
-    for number in (
-        *_of_bodies(
-            "mass_lost", "mass", "mass lost", "mg",
-            "mass lost by the {} ring, by its density; nothing where that is not given", _mass,
-        ),
-        *_of_bodies(
-            "mean_wear_rate", "mean_rate", "mean rate", "um/h",
-            "mean rate of wear of the {} ring since the start: volume over contact area and time",
-            lambda body, inputs: _volume_over(body, inputs, inputs.area * inputs.time / _HOUR),
-        ),
-        *_of_bodies(
-            "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
-            "specific wear rate of the {} ring since the start: volume over force and distance",
-            lambda body, inputs: _volume_over(body, inputs, inputs.normal_work),
-        ),
-        LaboratoryNumber(
-            Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
-            "distance", SLIDING, "distance", lambda c: 1e-3 * c.angle * c.mean_radius,
-        ),
-        LaboratoryNumber(
-            Variable(
-                "pressure_velocity", ("step",), "MPa m/s",
-                "p V: mean pressure on the nominal area times speed at the mean radius",
-            ),
-            "p_v", SLIDING, "p V", lambda c: 1e-3 * c.force / c.area * c.omega * c.mean_radius,
-        ),
-    )
-}  # fmt: skip
+    densities: Sequence[FloatArray]
 
 
 def laboratory_numbers(inputs: LaboratoryInputs) -> dict[str, FloatArray]:
     """Return the numbers of states (s,) by name; those that there are."""
-    numbers = {name: number.values(inputs) for name, number in LABORATORY_NUMBERS.items()}
-    return {name: values for name, values in numbers.items() if values is not None}
+    time, radius = inputs.time, inputs.mean_radius
+    numbers: dict[str, FloatArray] = {}
+    for body, volumes, densities in zip(BODIES, inputs.volumes, inputs.densities, strict=True):
+        if volumes is None:
+            continue
+        if not np.isnan(densities).all():
+            lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # nothing needs no density
+            numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
+        # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
+        worn = 1e3 * volumes.sum(axis=1)
+        for name, divisor in (
+            ("mean_wear_rate", inputs.area * time / _HOUR),
+            ("specific_wear_rate", inputs.normal_work),
+        ):
+            unknown = np.full(worn.shape, np.nan)
+            numbers[f"{name}_{body}"] = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
+    angle, omega = integral(inputs.omega, 0.0, time), in_time(inputs.omega, time)
+    numbers["sliding_distance"] = 1e-3 * angle * radius
+    numbers["pressure_velocity"] = 1e-3 * inputs.force / inputs.area * omega * radius
+    return {name: numbers[name] for name in LABORATORY_NUMBERS if name in numbers}
 
 
 def laboratory_inputs(result: Result) -> LaboratoryInputs:
     """Return the inputs of the numbers of a result, (stored states,) each."""
     about, histories = result.attributes, result.histories
-    time, omega = histories["time"], schedule_of(about, "omega")
     volumes, densities = [], []
     for body in BODIES:
         layers = result.layers.get(f"worn_volume_{body}_layers")
@@ -149,9 +132,8 @@ def laboratory_inputs(result: Result) -> LaboratoryInputs:
         volumes.append(volume if about[f"law_{body}"] else None)
         densities.append(densities_of(result, body))
     return LaboratoryInputs(
-        time, histories["force"], _normal_work(result), integral(omega, 0.0, time),
-        in_time(omega, time), float(about["nominal_area"]), float(about["mean_radius"]),
-        (volumes[0], volumes[1]), (densities[0], densities[1]),
+        histories["time"], histories["force"], _normal_work(result), schedule_of(about, "omega"),
+        float(about["nominal_area"]), float(about["mean_radius"]), volumes, densities,
     )  # fmt: skip
 
 
@@ -205,7 +187,6 @@ def end_numbers(
     known = [case for case, some in zip(cases, stored.tolist(), strict=True) if some]
     if not known:
         return {}
-    time, omega = columns.histories["time"][last], stack([c.load.omega for c in known])
     volumes, densities = [], []
     for i, body in enumerate(BODIES):
         layers = columns.layers.get(f"worn_volume_{body}_layers")
@@ -214,9 +195,9 @@ def end_numbers(
         case_densities = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
         densities.append(np.array(case_densities))
     inputs = LaboratoryInputs(
-        time, columns.histories["force"][last], normal_work[stored], integral(omega, 0.0, time),
-        in_time(omega, time), known[0].area, known[0].mean_radius, (volumes[0], volumes[1]),
-        (densities[0], densities[1]),
+        columns.histories["time"][last], columns.histories["force"][last], normal_work[stored],
+        stack([case.load.omega for case in known]), known[0].area, known[0].mean_radius, volumes,
+        densities,
     )  # fmt: skip
     numbers = {}
     for name, values in laboratory_numbers(inputs).items():

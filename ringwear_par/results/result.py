@@ -1,12 +1,11 @@
-"""Outcomes: data, with doors to what shows and stores them; results of cases, and histories."""
+"""Results of cases, and what they have in common with other outcomes; histories as columns."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +16,8 @@ from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
 from ringwear_par.errors import InputError, RingwearError, ValidityWarning
 from ringwear_par.files.text import parse_toml
 from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.results.fields import boundary_states, stress_history
+from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES
 
 if TYPE_CHECKING:
     import xarray
@@ -26,100 +27,42 @@ _BALANCE = "balance_"
 
 
 class Outcome:
-    """Data whose summaries, figures and files are made by functions of other modules.
+    """What all outcomes show: a page, and in notebooks their summary and figure.
 
-    A class names the modules of these functions, which are loaded when a function is first used:
-    no outcome knows any of them.
+    Each has ``summary()``, ``to_dict()``, ``plot()`` and ``save(path)``.
     """
 
-    #: modules of functions of the outcome, by the functions' names
-    functions: ClassVar[Mapping[str, str]]
-
-    def apply(self, name: str, *arguments: Any) -> Any:
-        """Return the value of a function of the outcome.
-
-        Raises
-        ------
-        TypeError : there is no such function of it.
-        """
-        if name not in self.functions:
-            raise TypeError(f"{type(self).__name__}: has no {name}")
-        return getattr(import_module(self.functions[name]), name)(self, *arguments)
-
     def summary(self) -> str:
-        """Return a summary in a few lines, as the command prints it. Not collective.
-
-        Raises
-        ------
-        InputError : a result that was stored without its last state.
-        """
-        return str(self.apply("summary"))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return its contents as JSON can hold them, for a page or a script. Not collective.
-
-        Raises
-        ------
-        InputError : a result that was stored without its last state.
-        """
-        return dict(self.apply("to_dict"))
+        """Return a summary in a few lines, as the command prints it."""
+        raise NotImplementedError
 
     def plot(self) -> "Figure":
         """Return its figure."""
-        figure: Figure = self.apply("plot")
-        return figure
-
-    def report(self, path: str | Path) -> str:
-        """Write its page, one HTML file; return what was written, see ``rw.report``."""
-        # pages stand on outcomes, which know nothing else of them
-        return str(import_module("ringwear_par.reports.report").report(self, path))
-
-    def _repr_html_(self) -> str:
-        """Return its summary and figure, for notebooks."""
-        return str(import_module("ringwear_par.reports.notebook").outcome_html(self))
+        raise NotImplementedError
 
     def save(self, path: str | Path) -> None:
         """Write its file, or the files of its folder, which is made.
 
-        Not collective: the process that calls this writes, each file whole.
+        The process that calls this writes, each file whole.
 
         Raises
         ------
         InputError : what cannot be written.
         ComputationError : the disk.
         """
-        self.apply("save", Path(path))
+        raise NotImplementedError
 
+    def report(self, path: str | Path) -> str:
+        """Write its page, one HTML file; return what was written, see ``rw.report``."""
+        from ringwear_par.reports.report import report
 
-def summary(outcome: Outcome) -> str:
-    """Return an outcome in a few lines, see ``Outcome.summary``.
+        return report(self, path)
 
-    Returns
-    -------
-    str : its lines; of a result penetration, worn volume, wear rate, pressure, torque, checks.
-    """
-    return _checked(outcome, "summary").summary()
+    def _repr_html_(self) -> str:
+        """Return its summary and figure, for notebooks."""
+        from ringwear_par.reports.notebook import outcome_html
 
-
-def to_dict(outcome: Outcome) -> dict[str, Any]:
-    """Return an outcome as JSON can hold it, see ``Outcome.to_dict``.
-
-    Returns
-    -------
-    dict : the contents of the outcome's JSON file.
-    """
-    return _checked(outcome, "to_dict").to_dict()
-
-
-def save(outcome: Outcome, path: str | Path) -> None:
-    """Write an outcome to its file or folder, see ``Outcome.save``."""
-    _checked(outcome, "save").save(path)
-
-
-def _checked(outcome: Outcome, verb: str) -> Outcome:
-    if not isinstance(outcome, Outcome):
-        raise TypeError(f"{verb}: {type(outcome).__name__}: must be an outcome")
-    return outcome
+        return outcome_html(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,44 +99,21 @@ class Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class Result(Outcome):
-    """A history as it is stored; arrays have the names of its file's variables.
+    """A history as it is stored.
 
     Parameters
     ----------
-    line : the contact elements.
-    step : (s,) int, what stored states are called: the steps made, or their own numbers where
-        there are times of output, before which a number of steps is not unique.
-    steps_made : (s,) int.
-    histories : (s,) each, by name, see variables.HISTORIES.
-    profiles : (s, n) each, by name, or (n,) where the last ones are stored only, see
-        variables.PROFILES; those that the case stores.
-    boundary : stored fields on the whole boundaries.
+    data : arrays by their names in ``variables.VARIABLES``, which has their axes, units and
+        meanings; fields along the contact line may lack the axis of steps: those of the last.
     attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
     checkpoint : what a run goes on from, None where the result was made without.
     path : of its file, None for a result in memory.
-    layers : of bodies with layers, by name, see variables.LAYERS: (s,), (s, layers + 1) and (s, n),
-        or (n,) where the last profiles are stored only.
-    stress : stored stresses, None where the case asks for none.
     """
 
-    functions: ClassVar = {
-        "summary": "ringwear_par.results.summary", "to_dict": "ringwear_par.results.summary",
-        "save": "ringwear_par.results.storage.result_files",
-        "to_xarray": "ringwear_par.results.storage.result_variables",
-        "plot": "ringwear_par.pictures.figures",
-    }  # fmt: skip
-
-    line: ContactLine
-    step: IntArray
-    steps_made: IntArray
-    histories: Mapping[str, Any]
-    profiles: Mapping[str, FloatArray]
-    boundary: tuple[BoundaryState, ...]
+    data: Mapping[str, Any]
     attributes: Mapping[str, Any]
     checkpoint: Checkpoint | None = None
     path: Path | None = None
-    layers: Mapping[str, FloatArray] = field(default_factory=dict)
-    stress: StressHistory | None = None
 
     def __repr__(self) -> str:
         title = self.attributes.get("title") or "no title"
@@ -202,6 +122,52 @@ class Result(Outcome):
             f"<Result: {title} ({self.name}): {self.line.n} contact elements, {len(self.step)} "
             f"states of {steps} steps until {end:g} s, {self.attributes['status']}>"
         )
+
+    def _some(self, names: Iterable[str]) -> dict[str, Any]:
+        return {name: self.data[name] for name in names if name in self.data}
+
+    @property
+    def line(self) -> ContactLine:
+        """The contact elements."""
+        return ContactLine(self.data["line/edges"])
+
+    @property
+    def step(self) -> IntArray:
+        """(s,) what stored states are called: the steps made, or their own numbers.
+
+        Numbers where there are times of output, before which a number of steps is not unique.
+        """
+        return self.data["step"]
+
+    @property
+    def steps_made(self) -> IntArray:
+        """(s,) number of steps made before each stored state."""
+        return self.data.get("steps_made", self.step)
+
+    @property
+    def histories(self) -> dict[str, Any]:
+        """(s,) each, by name, see ``variables.HISTORIES``."""
+        return self._some(HISTORIES)
+
+    @property
+    def profiles(self) -> dict[str, FloatArray]:
+        """(s, n) each of the stored ones, or (n,) of the last, see ``variables.PROFILES``."""
+        return self._some(PROFILES)
+
+    @property
+    def layers(self) -> dict[str, FloatArray]:
+        """Of bodies with layers: (s,), (s, layers + 1), (s, n) or (n,), see ``LAYERS``."""
+        return self._some(LAYERS)
+
+    @property
+    def stress(self) -> StressHistory | None:
+        """Stored stresses, None where there are none."""
+        return stress_history(self.data)
+
+    @property
+    def boundary(self) -> tuple[BoundaryState, ...]:
+        """Stored fields on the whole boundaries."""
+        return boundary_states(self.data)
 
     @property
     def case(self) -> str:
@@ -233,13 +199,48 @@ class Result(Outcome):
         return dict(json.loads(self.attributes["user_laws"]))
 
     def summary(self, *, verbose: bool = False) -> str:
-        """Return it in a few lines, or all its key numbers and checks, see ``rw.summary``."""
-        return str(self.apply("summary", verbose))
+        """Return it in a few lines, as ``ringwear run`` prints it.
+
+        Parameters
+        ----------
+        verbose : all key numbers and checks instead.
+
+        Raises
+        ------
+        InputError : the result was stored without its last state.
+        """
+        from ringwear_par.results.summary import summary
+
+        return summary(self, verbose)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return title, status, warnings and key numbers with their units, as JSON can hold them.
+
+        Raises
+        ------
+        InputError : the result was stored without its last state.
+        """
+        from ringwear_par.results.summary import to_dict
+
+        return to_dict(self)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the dataset that xarray makes of the result's file."""
-        dataset: xarray.Dataset = self.apply("to_xarray")
-        return dataset
+        from ringwear_par.results.files import to_xarray
+
+        return to_xarray(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write its file, see ``Outcome.save``."""
+        from ringwear_par.results.files import save
+
+        save(self, path)
+
+    def plot(self) -> "Figure":
+        """Return the figure of its histories and profiles."""
+        from ringwear_par.pictures.figures import plot
+
+        return plot(self)
 
 
 @dataclass(frozen=True)
@@ -292,15 +293,10 @@ class HistoryColumns:
     reason: tuple[str, ...]
     #: (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see ``variables.LAYERS``
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: (rows,) or (rows, points) each, by name, see ``result_variables.stress_rows``
+    #: (rows,) or (rows, points) each, by name, see ``fields.stress_rows``
     stress: Mapping[str, FloatArray] = field(default_factory=dict)
     #: (B,) or (B, points), by name: when wear got through layers, where points are
     whole: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    @property
-    def count(self) -> int:
-        """Number of the histories."""
-        return len(self.status)
 
     @property
     def deep(self) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import SIDES
+from ringwear_par.elasticity.stress.fields import FACES, SIDES
 
 if TYPE_CHECKING:
     import xarray
@@ -54,14 +54,6 @@ class Variable:
         """Return the variable of the last stored step alone."""
         rest = tuple(name for name in self.dimensions if name != "step")
         return replace(self, dimensions=rest, meaning=f"{self.meaning}, at the last step")
-
-    def stored_as(self, ndim: int) -> "Variable":
-        """Return the variable as it is stored with so many axes.
-
-        Fields along the contact line may be stored at the last step alone.
-        """
-        last = "element" in self.dimensions and ndim < len(self.dimensions)
-        return self.at_last_step() if last else self
 
 
 def axis(name: str, meaning: str) -> Variable:
@@ -168,16 +160,6 @@ LAYER = axis("layer", "layer from the contact face inwards; the last is the body
 UPPER_LAYER = replace(LAYER, name="layer_upper", dimensions=("layer_upper",))
 
 
-def layer_axis(body: int, counts: Sequence[int]) -> Variable:
-    """Return the axis of layers of lower (0) or upper (1) in a result: the same, if it serves both.
-
-    Parameters
-    ----------
-    counts : how many entries the axis has for lower and upper, 0 of a body without layers.
-    """
-    return UPPER_LAYER if body == 1 and counts[0] not in (0, counts[1]) else LAYER
-
-
 def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
@@ -206,6 +188,17 @@ LAYER_VOLUMES = _of_both(
     "worn_volume_{}_layers", ("step", "layer"), "mm3",
     "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
+#: along the contact line, the same at all states
+LAYER_ENDS = variable_table(
+    *(
+        Variable(
+            f"layer_end_{body}", (f"interface_{body}", "element"), "mm",
+            f"depth of the end of each layer of the {body} ring below its unworn face, along the "
+            "axis",
+        )
+        for body in BODIES
+    )
+)  # fmt: skip
 #: of a history, s; an attribute of its file
 TIMES_THROUGH = _of_both(
     "time_through_{}", (), "s",
@@ -224,65 +217,57 @@ def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
     return tuple(name for name in LAYERS if any(f"_{body}" in name for body in layered))
 
 
-#: coordinates of the result file that are no dimensions; it may lack the last
-COORDINATES = ("time", *LINE)
-
 # -- stresses --------------------------------------------------------------------------------------
 
 _STEP, _TENSOR = ("stress_step",), "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
-STRESS_STEP = axis("stress_step", "number of the stored state of stress")
-STRESS_TIME = replace(HISTORIES["time"], name="stress_time", dimensions=_STEP)
-STRESS_STEPS_MADE = replace(STEPS_MADE, name="stress_steps_made", dimensions=_STEP)
-COMPONENT = Variable("component", ("component",), "1", "component of stress")
+#: how the shards of a sweep number sides
+POINT_SIDES = ("", *SIDES)
 POINT = axis("point", "point of stress.points")
-POINT_R = Variable("point_r", ("point",), "mm", "radius of the point")
-POINT_Z = Variable("point_z", ("point",), "mm", "height of the point")
 POINT_SIDE = Variable(
     "point_side", ("point",), "1",
     "side of the face or interface that the point lies on, as in stress.points",
 )  # fmt: skip
-#: how the shards of a sweep number sides
-POINT_SIDES = ("", *SIDES)
-PRINCIPAL = axis("principal_value", "principal value, the largest first")
-GRID_R = Variable("grid_r", ("grid_r",), "mm", "radius of the grid")
-GRID_Z = Variable("grid_z", ("grid_z",), "mm", "height of the grid")
-_GRID = (*_STEP, "grid_r", "grid_z")
-STRESS = Variable("stress", (*_STEP, "point", "component"), "MPa", f"stress {_TENSOR}")
-MISES = Variable("mises", (*_STEP, "point"), "MPa", "von Mises stress")
-MAX_SHEAR = Variable("max_shear", (*_STEP, "point"), "MPa", "largest shear stress")
-PRINCIPALS = Variable(
-    "principal", (*_STEP, "point", "principal_value"), "MPa", "principal stresses"
+POINTS = variable_table(
+    Variable("point_r", ("point",), "mm", "radius of the point"),
+    Variable("point_z", ("point",), "mm", "height of the point"),
+    POINT_SIDE,
 )
-STRESS_GRID = Variable("stress_grid", (*_GRID, "component"), "MPa", f"stress {_TENSOR}")
-MISES_GRID = Variable("mises_grid", _GRID, "MPa", "von Mises stress")
-MAX_SHEAR_GRID = Variable("max_shear_grid", _GRID, "MPa", "largest shear stress")
-SURFACE_STRESS = tuple(
-    Variable(
-        f"surface_stress_{body}", (*_STEP, "element", "component"), "MPa",
-        f"stress of the {body} ring at its contact face {_TENSOR}",
+
+
+def _stresses(place: str, dimensions: tuple[str, ...]) -> dict[str, Variable]:
+    """Return the stress at points or on the grid, and what follows from it."""
+    dimensions = (*_STEP, *dimensions)
+    return variable_table(
+        Variable(f"stress{place}", (*dimensions, "component"), "MPa", f"stress {_TENSOR}"),
+        Variable(f"mises{place}", dimensions, "MPa", "von Mises stress"),
+        Variable(f"max_shear{place}", dimensions, "MPa", "largest shear stress"),
     )
-    for body in BODIES
-)  # fmt: skip
-SIDE = Variable("side", ("side",), "1", "side of an interface")
 
 
-@dataclass(frozen=True)
-class InterfaceVariables:
-    """The variables of the interfaces of a body."""
+def _largest(suffix: str, bodies: str) -> dict[str, Variable]:
+    name = f"max_mises{suffix}"
+    return variable_table(
+        Variable(name, _STEP, "MPa", f"largest von Mises stress of {bodies}"),
+        Variable(f"{name}_r", _STEP, "mm", "radius at which it is"),
+        Variable(f"{name}_z", _STEP, "mm", "height at which it is"),
+        Variable(
+            f"{name}_layer", _STEP, "1",
+            "layer that it is in, from the contact face on; the last is the body itself",
+            integer=True,
+        ),
+    )  # fmt: skip
 
-    number: Variable
-    element: Variable
-    r: Variable
-    z: Variable
-    stress: Variable
-    mises: Variable
 
-
-def _of_interfaces(body: str) -> InterfaceVariables:
+def _stresses_in(body: str, layer: str) -> dict[str, Variable]:
+    """Return the stresses at the face and the interfaces of a body, and the largest in it."""
     number, element = f"interface_{body}", f"interface_element_{body}"
-    fields = *_STEP, number, SIDE.name, element
+    fields = *_STEP, number, "side", element
     on = f"on both sides of the interfaces of the {body} ring"
-    return InterfaceVariables(
+    return _largest(f"_{body}", f"the {body} ring") | variable_table(
+        Variable(
+            f"surface_stress_{body}", (*_STEP, "element", "component"), "MPa",
+            f"stress of the {body} ring at its contact face {_TENSOR}",
+        ),
         axis(number, f"interface of the {body} ring: the layer that it is under"),
         axis(element, "element of the interfaces, from the inner edge outwards"),
         Variable(f"interface_r_{body}", (element,), "mm", "radius of the element's mid-point"),
@@ -291,46 +276,106 @@ def _of_interfaces(body: str) -> InterfaceVariables:
             f"interface_stress_{body}", (*fields, "component"), "MPa", f"stress {on} {_TENSOR}"
         ),
         Variable(f"interface_mises_{body}", fields, "MPa", f"von Mises stress {on}"),
+        Variable(
+            f"max_mises_{body}_layers", (*_STEP, layer), "MPa",
+            f"largest von Mises stress in each layer of the {body} ring, and in the ring itself",
+        ),
     )  # fmt: skip
 
 
-INTERFACES = tuple(map(_of_interfaces, BODIES))
-EXCLUDE = Variable(
-    "stress_exclude", (), "mm", "radius round edges, within which no largest stress is looked for"
-)
-
-
-def _largest(suffix: str, bodies: str) -> tuple[Variable, ...]:
-    return (
-        Variable(f"max_mises{suffix}", _STEP, "MPa", f"largest von Mises stress of {bodies}"),
-        Variable(f"max_mises{suffix}_r", _STEP, "mm", "radius at which it is"),
-        Variable(f"max_mises{suffix}_z", _STEP, "mm", "height at which it is"),
+#: of both bodies together
+MAX_MISES = _largest("", "both rings")
+STRESSES = {
+    **variable_table(
+        axis("stress_step", "number of the stored state of stress"),
+        replace(HISTORIES["time"], name="stress_time", dimensions=_STEP),
+        replace(STEPS_MADE, name="stress_steps_made", dimensions=_STEP),
+        Variable("component", ("component",), "1", "component of stress"),
+        Variable("side", ("side",), "1", "side of an interface"),
         Variable(
-            f"max_mises{suffix}_layer",
-            _STEP,
-            "1",
-            "layer that it is in, from the contact face on; the last is the body itself",
+            "stress_exclude", (), "mm",
+            "radius round edges, within which no largest stress is looked for",
+        ),
+        POINT,
+        axis("principal_value", "principal value, the largest first"),
+        Variable(
+            "principal", (*_STEP, "point", "principal_value"), "MPa", "principal stresses"
+        ),
+        Variable("grid_r", ("grid_r",), "mm", "radius of the grid"),
+        Variable("grid_z", ("grid_z",), "mm", "height of the grid"),
+    ),
+    **POINTS,
+    **_stresses("", ("point",)),
+    **_stresses("_grid", ("grid_r", "grid_z")),
+    **MAX_MISES,
+    **_stresses_in(BODIES[0], LAYER.name),
+    **_stresses_in(BODIES[1], UPPER_LAYER.name),
+}  # fmt: skip
+#: what sweeps store, at the stored states that stress is asked for of: the largest, and points
+LARGEST_STRESS = {name: replace(v, dimensions=("step",)) for name, v in MAX_MISES.items()}
+LAYER_STRESS = {
+    name: replace(STRESSES[name], dimensions=("step", STRESSES[name].dimensions[-1]))
+    for name in (f"max_mises_{body}_layers" for body in BODIES)
+}
+POINT_STRESS = {
+    name: replace(STRESSES[name], dimensions=("step", "point")) for name in ("mises", "max_shear")
+}
+
+# -- boundaries ------------------------------------------------------------------------------------
+
+
+def _boundary(body: str) -> dict[str, Variable]:
+    """Return the fields on the whole boundary of a body, in a group with axes of its own."""
+    at_nodes, at_elements = (
+        ("boundary_step", "boundary_node"),
+        ("boundary_step", "boundary_element"),
+    )
+    along = ("r", "z", "theta")
+    variables = (
+        axis("boundary_step", "number of the stored boundary state"),
+        axis("boundary_node", "node of the boundary"),
+        axis(
+            "boundary_element",
+            "element of the boundary; its outward normal lies to the right of its direction",
+        ),
+        axis("corner", "first, middle and last node of an element"),
+        replace(HISTORIES["time"], dimensions=at_nodes[:1]),
+        replace(STEPS_MADE, dimensions=at_nodes[:1]),
+        Variable(
+            "nodes", ("boundary_element", "corner"), "1", "nodes of the element", integer=True
+        ),
+        Variable(
+            "face", ("boundary_element",), "1",
+            "face of the body: " + ", ".join(f"{i} {name}" for i, name in enumerate(FACES)),
             integer=True,
         ),
-    )
+        *(Variable(x, at_nodes, "mm", f"{x} of the worn, undeformed body") for x in along[:2]),
+        *(
+            Variable(f"displacement_{x}", at_nodes, "mm", f"displacement along {x}") for x in along
+        ),
+        *(Variable(f"traction_{x}", at_elements, "MPa", f"traction along {x}") for x in along),
+        Variable("pressure", at_elements, "MPa", "contact pressure, 0 elsewhere"),
+        Variable(
+            "wear", at_elements, "mm", "worn depth along the axis, 0 off the contact"
+        ),
+    )  # fmt: skip
+    return {f"boundary/{body}/{variable.name}": variable for variable in variables}
 
 
-#: of both bodies together, then of each
-MAX_MISES = _largest("", "both rings")
-MAX_MISES_OF = tuple(_largest(f"_{body}", f"the {body} ring") for body in BODIES)
-#: of bodies with layers
-MAX_MISES_LAYERS = tuple(
-    Variable(
-        f"max_mises_{body}_layers", (*_STEP, layer.name), "MPa",
-        f"largest von Mises stress in each layer of the {body} ring, and in the ring itself",
-    )
-    for body, layer in zip(BODIES, (LAYER, UPPER_LAYER), strict=True)
+#: all variables of a result by their places in its file; groups have axes of their own
+VARIABLES = {
+    **variable_table(STEP, STEPS_MADE, ELEMENT, LAYER, UPPER_LAYER),
+    "line/edge": EDGE, "line/edges": EDGES,
+    "checkpoint/state": axis("state", "state that the history goes on from, as an .npz file"),
+    **LINE, **HISTORIES, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
+    **LAYERS, **LAYER_ENDS, **STRESSES,
+    **_boundary(BODIES[0]), **_boundary(BODIES[1]),
+}  # fmt: skip
+#: coordinates that are no dimensions
+COORDINATES = (
+    "time", *LINE, "stress_time", *POINTS,
+    *(f"interface_{axis}_{body}" for body in BODIES for axis in "rz"),
 )  # fmt: skip
-#: what sweeps store, at the stored states that stress is asked for of: the largest, and points
-LARGEST_STRESS = {v.name: replace(v, dimensions=("step",)) for v in MAX_MISES}
-LAYER_STRESS = {v.name: replace(v, dimensions=("step", v.dimensions[-1])) for v in MAX_MISES_LAYERS}
-POINT_STRESS = {v.name: replace(v, dimensions=("step", "point")) for v in (MISES, MAX_SHEAR)}
-POINTS = {v.name: v for v in (POINT_R, POINT_Z, POINT_SIDE)}
 
 
 def edge_elements(pressure: FloatArray) -> BoolArray:

@@ -1,13 +1,10 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.plausible import implausible_numbers, wear_question
 from ringwear_par.cases.schema import SCHEMES
@@ -28,10 +25,6 @@ from ringwear_par.history.refusals.stable_steps import missed_corner, stable_ste
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.schedules import largest
 
-#: histories whose worst states are checked together
-_TOGETHER = 64
-#: the measures of few elements in contact
-_ON_FEW = tuple(map(force_measure, range(1, FEW_ELEMENTS)))
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
 #: largest mean pressure, in Young's moduli, of linear elasticity
@@ -56,6 +49,14 @@ _MOST_ASYMMETRY = 0.05
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 
 
+#: name of the measure of largest stresses beside edges where they are infinite
+INFINITE = "infinite_stress"
+#: the largest of each measure of B histories, (ENTRIES, B) each, see ``WorstStates``
+Measures = Mapping[str, FloatArray]
+#: numbers of histories, and what is to be said of each
+Texts = Iterable[tuple[int, str]]
+
+
 class Warnings:
     """Warnings of B histories so far: an observer of what other observers do not look at.
 
@@ -78,95 +79,47 @@ class Warnings:
         self._begun = False
 
     def __call__(self, snapshot: Snapshot) -> bool:
-        """Look for steps that are too long, once a history. Not collective."""
+        """Look for steps that are too long, once a history."""
         if snapshot.step is None or not self._begun:
             numbers = snapshot.numbers.tolist()
             self._long_steps |= {numbers[i]: w for i, w in unstable(snapshot).items()}
         self._begun = True
         return False
 
-    def worst(self, numbers: IntArray) -> dict[str, Sequence[float]]:
-        """Return the worst of some histories by name of its measure, ``ENTRIES`` numbers each."""
-        infinite = max(map(self._stresses.infinite, numbers.tolist()))
-        more = {"reactions": self._balances.reactions(numbers), "infinite_stress": infinite}
-        return {
-            **self._states.worst(numbers),
-            **{name: (*some, *(ENTRIES - len(some)) * (0.0,)) for name, some in more.items()},
-        }
+    def measures(self) -> Measures:
+        """Return the worst of all histories by name of its measure."""
+        more = {name: np.zeros((ENTRIES, len(self._cases))) for name in ("reactions", INFINITE)}
+        more["reactions"][:2] = self._balances.reactions
+        infinite = [self._stresses.infinite(number) for number in range(len(self._cases))]
+        more[INFINITE][:3] = np.transpose(infinite)
+        return {**self._states.measures, **more}
 
     def histories(self, failed: Sequence[bool]) -> list[tuple[ValidityWarning, ...]]:
         """Return the warnings of each history, none of those that have failed."""
-        good = [number for number, bad in enumerate(failed) if not bad]
-        warnings: list[tuple[ValidityWarning, ...]] = [()] * len(failed)
-        first = self._cases[0]
-        # those of its rings under a constant force, too
-        of_first = tuple(_of_cases(first))
-        alike = np.array([case.rings == first.rings for case in self._cases])
-        unsuspicious = self._unsuspicious(alike)
-        for number in good:
-            case = self._cases[number]
-            if not unsuspicious[number]:
-                warnings[number] = self._of(number)
-                continue
-            long_steps = self._long_steps.get(number)
-            few = () if long_steps is None else (long_steps,)
-            steady = isinstance(case.load.force, float) and isinstance(first.load.force, float)
-            of_case = of_first if steady else tuple(_of_cases(case))
-            warnings[number] = (*few, *implausible_numbers(case), *of_case)
-        return warnings
-
-    def _unsuspicious(self, alike: BoolArray) -> BoolArray:
-        """Return which histories need not be looked at one by one: the worst of many is well.
-
-        Of some, which have the rings of the first.
-        """
-        unsuspicious = np.zeros(len(alike), dtype=bool)
-        if self._stresses.places(0) is not None:
-            return unsuspicious
-        # the displacement of one would excuse what others are to be warned of
-        first = self._cases[0]
-        case = replace(first, load=replace(first.load, force=0.0, displacement=None))
-        shallow = np.flatnonzero(alike & ~_is_deep(case, self._states.moved))
-        for numbers in np.array_split(shallow, -(-len(alike) // _TOGETHER)):
-            if len(numbers) > 1:
-                worst = self.worst(numbers)
-                known = not math.isnan(worst["reactions"][0])
-                unsuspicious[numbers] = known and not any(_of_states(case, worst))
-        return unsuspicious
-
-    def _of(self, number: int) -> tuple[ValidityWarning, ...]:
-        case, places = self._cases[number], self._stresses.places(number)
-        warnings = [self._long_steps[number]] if number in self._long_steps else []
-        worst = self.worst(np.array([number]))
-        warnings += validity_warnings(case, worst)
-        if places is not None:
-            for check in OF_STRESSES:
-                warnings += check(case, self._stresses, number)
-        return tuple(warnings)
+        warnings: list[list[ValidityWarning]] = [[] for _ in self._cases]
+        for number, case in enumerate(self._cases):
+            if number in self._long_steps:
+                warnings[number].append(self._long_steps[number])
+            warnings[number] += [*implausible_numbers(case), *_apart(case), *_missed_corner(case)]
+        measures = self.measures()
+        for check, code in OF_STATES.items():
+            for number, text in check(self._cases, measures):
+                warnings[number].append(ValidityWarning(code, text))
+        for number, case in enumerate(self._cases):
+            if self._stresses.places(number) is not None and not failed[number]:
+                for of_stress in OF_STRESSES:
+                    warnings[number] += of_stress(case, self._stresses, number)
+        return [() if bad else tuple(w) for bad, w in zip(failed, warnings, strict=True)]
 
 
-def validity_warnings(
-    case: Case, worst: Mapping[str, Sequence[float]]
-) -> tuple[ValidityWarning, ...]:
-    """Return warnings about states of a case that the method is not made for. Not collective.
-
-    Parameters
-    ----------
-    worst : the worst of its history, see ``Warnings.worst``.
-    """
-    return (*implausible_numbers(case), *_of_cases(case), *_of_states(case, worst))
+def _where(mask: BoolArray) -> list[int]:
+    """Return the numbers of the histories where a mask (B,) holds."""
+    return np.flatnonzero(mask).tolist()
 
 
-def _of_cases(case: Case) -> Iterator[ValidityWarning]:
-    """Yield the warnings that follow from a case alone."""
-    for check in OF_CASES:
-        yield from check(case)
-
-
-def _of_states(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield the warnings about the worst of a history's states."""
-    for check in OF_STATES:
-        yield from check(case, worst)
+def _each(function: Callable[[Case], float], cases: Sequence[Case]) -> FloatArray:
+    """Return a number of each case (B,)."""
+    return np.array([function(case) for case in cases])
 
 
 def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
@@ -185,22 +138,18 @@ def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
     )
 
 
-def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield whether wear or approach were too large for small displacements."""
+def _deep_wear(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where wear or approach were too large for small displacements."""
     moved, time, *_ = worst["moved"]
-    if _is_deep(case, moved):
-        yield ValidityWarning(
-            "large_displacement",
-            f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
-            "height: small displacements and the mesh of the unworn bodies no longer hold"
-            f"{wear_question(case)}",
-        )
-
-
-def _is_deep(case: Case, moved: Any) -> Any:
-    """Tell whether wear or approach, mm, were too large for small displacements."""
-    gap = case.smallest_gaps[0] if _is_apart(case) else 0.0  # of which another warning tells
-    return moved - gap > _MOST_MOVED * _height(case)
+    most = _MOST_MOVED * _each(_height, cases)
+    return {
+        i: f"approach or wear of {moved[i]:.3g} mm at t = {time[i]:g} s is more than 5 % of a "
+        "body's height: small displacements and the mesh of the unworn bodies no longer hold"
+        f"{wear_question(cases[i])}"
+        for i in _where(moved > most)
+        # an initial gap, of which another warning tells, does not count
+        if not _is_apart(cases[i]) or moved[i] - cases[i].smallest_gaps[0] > most[i]
+    }.items()
 
 
 def _height(case: Case) -> float:
@@ -215,6 +164,9 @@ def _never_touches(case: Case) -> bool:
 
 
 def _is_apart(case: Case) -> bool:
+    touching = case.lower.z[1] == case.upper.z[0] and not any(ring.face for ring in case.rings)
+    if touching and case.load.displacement is None:  # in less time
+        return False
     return case.smallest_gaps[0] > _MOST_APART * _height(case) or _never_touches(case)
 
 
@@ -237,108 +189,111 @@ def _apart(case: Case) -> Iterator[ValidityWarning]:
     yield ValidityWarning("bodies_apart", text)
 
 
-def _contact_beyond_mesh(
-    case: Case, worst: Mapping[str, Sequence[float]]
-) -> Iterator[ValidityWarning]:
-    """Yield whether faces may have touched where mesh.contact leaves them out."""
+def _contact_beyond_mesh(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where faces may have touched where mesh.contact leaves them out."""
     approach, time, *_ = worst["approach"]
-    if any(case.open_ends) and approach > case.smallest_gaps[1]:
-        yield ValidityWarning(
-            "contact_beyond_mesh",
-            f"the approach of {approach:.6g} mm at t = {time:g} s exceeds the smallest gap, "
-            f"{case.smallest_gaps[1]:.6g} mm, of the faces outside mesh.contact: the bodies may "
-            "touch there too, and this contact is not computed",
-        )
+    gap = _each(lambda case: case.smallest_gaps[1] if any(case.open_ends) else np.inf, cases)
+    return {
+        i: f"the approach of {approach[i]:.6g} mm at t = {time[i]:g} s exceeds the smallest gap, "
+        f"{gap[i]:.6g} mm, of the faces outside mesh.contact: the bodies may touch there too, and "
+        "this contact is not computed"
+        for i in _where(approach > gap)
+    }.items()
 
 
-def _coarse_mesh(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield whether the boundary elements' balances and symmetry ask for a finer mesh."""
-    reactions, asymmetry = worst.get("reactions", (0.0, 0.0)), worst["symmetry_defect"]
-    layered = any(ring.layers for ring in case.rings)
-    measures = [reactions] if layered else [reactions, asymmetry]
-    if reactions[0] > _MOST_DEFECT or (not layered and asymmetry[0] > _MOST_ASYMMETRIC):
-        defect, time, *_ = max(measures, key=lambda entries: entries[0])
-        yield ValidityWarning(
-            "coarse_mesh",
-            f"balance or symmetry of the boundary elements is wrong by {defect:.2g} at worst, at "
-            f"t = {time:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are needed",
-        )
-    elif layered and asymmetry[0] > _MOST_FILM_DEFECT:
-        yield ValidityWarning(
-            "coarse_film",
-            f"the compliance of bodies with layers is asymmetric by {asymmetry[0]:.2g}, as with "
-            "thin films that are soft or nearly incompressible: pressures may be wrong by three "
-            "times this number. Compare with a finer mesh (mesh.contact_elements)",
-        )
+def _coarse_mesh(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where the boundary elements' balances and symmetry ask for a finer mesh."""
+    reactions, asymmetry = worst["reactions"], worst["symmetry_defect"]
+    if any(ring.layers for ring in cases[0].rings):
+        (defect, time, *_), asymmetric = reactions, np.zeros(len(cases), dtype=bool)
+    else:
+        defect, time, *_ = np.where(asymmetry[0] > reactions[0], asymmetry, reactions)
+        asymmetric = asymmetry[0] > _MOST_ASYMMETRIC
+    return {
+        i: f"balance or symmetry of the boundary elements is wrong by {defect[i]:.2g} at worst, at "
+        f"t = {time[i]:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are needed"
+        for i in _where((reactions[0] > _MOST_DEFECT) | asymmetric)
+    }.items()
 
 
-def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield whether a pressure was too high for linear elasticity."""
+def _coarse_film(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where layers make the compliance asymmetric."""
+    asymmetry = worst["symmetry_defect"][0]
+    layered = any(ring.layers for ring in cases[0].rings)
+    found = (asymmetry > _MOST_FILM_DEFECT) & ~(worst["reactions"][0] > _MOST_DEFECT) & layered
+    return {
+        i: f"the compliance of bodies with layers is asymmetric by {asymmetry[i]:.2g}, as with "
+        "thin films that are soft or nearly incompressible: pressures may be wrong by three "
+        "times this number. Compare with a finer mesh (mesh.contact_elements)"
+        for i in _where(found)
+    }.items()
+
+
+def _high_pressure(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where a pressure was too high for linear elasticity."""
     pressure, time, *_ = worst["mean_pressure"]
-    young = min(material.young for material in case.materials.values())
-    if pressure > _MOST_PRESSED * young:
-        yield ValidityWarning(
-            "high_pressure",
-            f"the mean pressure in contact, {pressure:.3g} MPa at t = {time:g} s, is more than a "
-            f"tenth of a Young's modulus, {young:g} MPa: elasticity is no longer linear there",
-        )
+    young = _each(lambda case: min(m.young for m in case.materials.values()), cases)
+    return {
+        i: f"the mean pressure in contact, {pressure[i]:.3g} MPa at t = {time[i]:g} s, is more "
+        f"than a tenth of a Young's modulus, {young[i]:g} MPa: elasticity is no longer linear there"
+        for i in _where(pressure > _MOST_PRESSED * young)
+    }.items()
 
 
-def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield whether few elements bore a load that counts among those of the history."""
-    most = worst["force"][0]
-    for count, name in enumerate(_ON_FEW, start=1):
-        force, time, *_ = worst.get(name, (0.0, 0.0))
-        if force > _SLIGHT_LOAD * most:
-            yield ValidityWarning(
-                "few_elements_in_contact",
-                f"{count} of {case.line.n} elements are in contact at t = {time:g} s, under "
-                f"{force:.4g} N: too few to resolve the contact. Use more elements "
-                "(mesh.contact_elements), or put them where contact is (mesh.contact = [r1, r2])",
-            )
-            return
+def _few_elements(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where few elements bore a load that counts among those of the history."""
+    texts: dict[int, str] = {}
+    for count in reversed(range(1, FEW_ELEMENTS)):  # of the fewest in the end
+        force, time, *_ = worst[force_measure(count)]
+        texts |= {
+            i: f"{count} of {cases[i].line.n} elements are in contact at t = {time[i]:g} s, under "
+            f"{force[i]:.4g} N: too few to resolve the contact. Use more elements "
+            "(mesh.contact_elements), or put them where contact is (mesh.contact = [r1, r2])"
+            for i in _where(force > _SLIGHT_LOAD * worst["force"][0])
+        }
+    return texts.items()
 
 
-def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+def _other_stack(cases: Sequence[Case], worst: Measures) -> Texts:
     """Yield which layers of another modulus were worn that elasticity still has."""
-    for i, (body, ring) in enumerate(zip(BODIES, case.rings, strict=True)):
-        for number, layer in enumerate(ring.layers):
-            below = [*(under.young for under in ring.layers), ring.young][number + 1]
-            share, time, *_ = worst.get(worn_share(i, number), (0.0, 0.0))
-            if share > _MOST_OF_LAYER and abs(layer.young / below - 1.0) > _OTHER_MODULUS:
-                yield ValidityWarning(
-                    "worn_layer",
-                    f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it bears "
-                    f"load at t = {time:g} s, but elasticity is computed with the unworn layer, "
-                    f"whose modulus is {layer.young:g} MPa over {below:g} MPa under it. "
-                    'mesh.geometry = "updated" follows the wear of layers',
+    for body, name in enumerate(BODIES):
+        for number in range(len(cases[0].rings[body].layers)):
+            share, time, *_ = worst.get(worn_share(body, number), np.zeros((2, len(cases))))
+            for i in _where(share > _MOST_OF_LAYER):
+                ring = cases[i].rings[body]
+                young, below = [*(layer.young for layer in ring.layers), ring.young][number:][:2]
+                text = (
+                    f"{100.0 * share[i]:.0f} % of {name}.layers[{number}] is worn off where it "
+                    f"bears load at t = {time[i]:g} s, but elasticity is computed with the unworn "
+                    f"layer, whose modulus is {young:g} MPa over {below:g} MPa under it. "
+                    'mesh.geometry = "updated" follows the wear of layers'
                 )
+                if abs(young / below - 1.0) > _OTHER_MODULUS:
+                    yield i, text
 
 
-def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield whether faces that touched sloped by different angles, or from what elements have."""
+def _unlike_slopes(cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where faces that touched sloped by different angles, or from what elements have."""
     share, time, r, lower, upper, acts = worst["unlike_slopes"]
-    if share > _LOAD_ASIDE:
-        yield ValidityWarning(
-            "unlike_slopes",
-            f"{100.0 * share:.2g} % of the load at t = {time:g} s is borne where the direction of "
-            f"the pressure is more than {MOST_ANGLE:g} degrees off the normal of a face: at "
-            f"r = {r:.6g} mm lower slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the "
-            f"pressure acts as on a slope of {acts:.3g} degrees"
-            + ('; mesh.geometry = "updated" follows the worn faces' * (not case.follows_wear)),
-        )
+    return {
+        i: f"{100.0 * share[i]:.2g} % of the load at t = {time[i]:g} s is borne where the "
+        f"direction of the pressure is more than {MOST_ANGLE:g} degrees off the normal of a face: "
+        f"at r = {r[i]:.6g} mm lower slopes by {lower[i]:.3g}, upper by {upper[i]:.3g} degrees, "
+        f"and the pressure acts as on a slope of {acts[i]:.3g} degrees"
+        + ('; mesh.geometry = "updated" follows the worn faces' * (not cases[i].follows_wear))
+        for i in _where(share > _LOAD_ASIDE)
+    }.items()
 
 
-def _asymmetric(_case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
-    """Yield whether making the compliance symmetric spoiled pressures."""
+def _asymmetric(_cases: Sequence[Case], worst: Measures) -> Texts:
+    """Return where making the compliance symmetric spoiled pressures."""
     error, time, r, *_ = worst["asymmetry"]
-    if error > _MOST_ASYMMETRY:
-        yield ValidityWarning(
-            "asymmetric_compliance",
-            f"the pressure at r = {r:.6g} mm is about {error:.2g} off at t = {time:g} s, because "
-            "the compliance matrix was made symmetric: a finer mesh (mesh.contact_elements) or a "
-            "milder grading (mesh.grading) is needed",
-        )
+    return {
+        i: f"the pressure at r = {r[i]:.6g} mm is about {error[i]:.2g} off at t = {time[i]:g} s, "
+        "because the compliance matrix was made symmetric: a finer mesh (mesh.contact_elements) or "
+        "a milder grading (mesh.grading) is needed"
+        for i in _where(error > _MOST_ASYMMETRY)
+    }.items()
 
 
 def _infinite_stress(
@@ -450,16 +405,18 @@ def _unstable(step: float, limit: float) -> ValidityWarning:
     )
 
 
-#: warnings that follow from a case alone
-OF_CASES: tuple[Callable[[Case], Iterable[ValidityWarning]], ...] = (_apart, _missed_corner)
-#: about the measures of ``WorstStates``. A larger measure must not warn less: histories are looked
-#: at one by one only where the largest measures of many warn
-OF_STATES: tuple[
-    Callable[[Case, Mapping[str, Sequence[float]]], Iterable[ValidityWarning]], ...
-] = (
-    _deep_wear, _contact_beyond_mesh, _high_pressure, _few_elements, _coarse_mesh, _other_stack,
-    _unlike_slopes, _asymmetric,
-)  # fmt: skip
+#: about the measures of ``WorstStates``
+OF_STATES: dict[Callable[[Sequence[Case], Measures], Texts], str] = {
+    _deep_wear: "large_displacement",
+    _contact_beyond_mesh: "contact_beyond_mesh",
+    _high_pressure: "high_pressure",
+    _few_elements: "few_elements_in_contact",
+    _coarse_mesh: "coarse_mesh",
+    _coarse_film: "coarse_film",
+    _other_stack: "worn_layer",
+    _unlike_slopes: "unlike_slopes",
+    _asymmetric: "asymmetric_compliance",
+}
 #: about the stresses of a history, of which the observer has this number
 OF_STRESSES: tuple[Callable[[Case, StressObserver, int], Iterable[ValidityWarning]], ...] = (
     _infinite_stress,

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import InputError, reason_of
-from ringwear_par.results.storage.hdf5 import UnreadableError, atomic_hdf5, reading
+from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
 from ringwear_par.results.variables import LINE
 from ringwear_par.studies.ensemble import SOFTWARE, join_flags
 from ringwear_par.studies.stored_variables import FIELDS, STORED, has_layers

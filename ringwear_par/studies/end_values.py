@@ -18,7 +18,6 @@ from ringwear_par.results.variables import (
     LAYER_PROFILES,
     LAYER_STRESS,
     LAYER_VOLUMES,
-    MAX_MISES,
     TIMES_THROUGH,
     Variable,
 )
@@ -115,7 +114,7 @@ END_VALUES = {
 #: by the variable that each is taken of
 BY_SOURCE = {end_value.source: end_value for end_value in END_VALUES.values()}
 #: the variable that is finite at the states with stress
-STRESS_STATES = MAX_MISES[0].name
+STRESS_STATES = "max_mises"
 
 
 def end_value_of(name: str) -> tuple[EndValue, str]:

@@ -12,7 +12,7 @@ from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_toml
-from ringwear_par.results.storage.hdf5 import reading
+from ringwear_par.results.hdf5 import reading
 from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
 from ringwear_par.studies.variations import Variation, read_variations
 

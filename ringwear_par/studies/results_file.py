@@ -20,7 +20,7 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.files.text import toml_value
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.results.storage.result_variables import side_words
+from ringwear_par.results.fields import side_words
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     ELEMENT,

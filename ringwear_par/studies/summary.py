@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.results.execution.progress import duration
-from ringwear_par.results.storage.hdf5 import reading
+from ringwear_par.results.hdf5 import reading
+from ringwear_par.results.progress import duration
 from ringwear_par.studies.ensemble import (
     FILE_KIND,
     RESULTS,

@@ -23,8 +23,8 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError, cou
 from ringwear_par.files.folders import refuse_others
 from ringwear_par.files.writing import check_writable, unwritable
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
-from ringwear_par.results.execution.progress import Progress, duration
-from ringwear_par.results.storage.hdf5 import UnreadableError, reading
+from ringwear_par.results.hdf5 import UnreadableError, reading
+from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.block_files import DamagedError, has_failed, write_block
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, compute, free_blocks
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE

@@ -14,7 +14,7 @@ from ringwear_par.history.lockstep import batch_key, can_share
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.observers.stresses import CaseStresses, stress_key
 from ringwear_par.history.refusals.cases import stress_numbers
-from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import HISTORIES
 

@@ -128,7 +128,7 @@ def test_fault(kind, fault, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
-    rw.save(rw.simulate(rw.read_case(PAPER, {"time.steps": 2})), folder / "run.h5")
+    rw.simulate(rw.read_case(PAPER, {"time.steps": 2})).save(folder / "run.h5")
     return folder
 
 

@@ -28,7 +28,7 @@ def draws_of(case, count=200, k=1e-7, p0=None, tau=0.0, size=0.0):
         np.array([BOUNDS[key] for key in keys]), material, tests,
         {(K, "specimen"): np.full(count, tau)} if tau else {},
         np.tile([size, 0.0], (count, 1)), ("S1", "S2"), law_names(case),
-        np.tile(conditions_of(case, keys), (2, 1)), -3.0, 0.5 * count,
+        np.tile(conditions_of(case, keys), (2, 1)), 0.5 * count,
     )  # fmt: skip
 
 

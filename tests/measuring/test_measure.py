@@ -263,7 +263,7 @@ def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
         "measure.json", "measure.csv", "measure.png",
     }  # fmt: skip
     stored = json.loads((tmp_path / "out/measure.json").read_text())
-    assert stored == json.loads(json.dumps(rw.to_dict(laboratory[2])))
+    assert stored == json.loads(json.dumps(laboratory[2].to_dict()))
     rows = list(csv.DictReader((tmp_path / "out/measure.csv").read_text().splitlines()))
     assert [row["test"] for row in rows] == ["W1", "W2", "W3", "W4"]
     value = float(rows[0]["specific wear rate / mm3/(N m)"])

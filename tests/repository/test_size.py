@@ -20,7 +20,7 @@ ROOMS = {
     "cases schedules.py errors.py": 5272,
     "files": 1240,
     "measuring": 2517,
-    "results": 4997,
+    "results": 4489,
     "studies": 3714,
     "identification": 8454,
     "prediction monitoring": 1655,

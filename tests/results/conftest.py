@@ -6,13 +6,13 @@ from contextlib import contextmanager
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.results.execution import run
+from ringwear_par.results import run
 
 
 @pytest.fixture
 def stopped_after(monkeypatch):
     """Context manager: SIGTERM comes after a number of steps of a run."""
-    call = run.CheckpointWatch.__call__
+    call = run.Run.__call__
 
     @contextmanager
     def stopped_after(step):
@@ -22,7 +22,7 @@ def stopped_after(monkeypatch):
             return call(self, snapshot)
 
         with monkeypatch.context() as patch:
-            patch.setattr(run.CheckpointWatch, "__call__", interrupted)
+            patch.setattr(run.Run, "__call__", interrupted)
             yield
 
     return stopped_after

@@ -10,9 +10,9 @@ from parts import main, write_xlsx
 from paths import CASES
 from vtkhdf import last_state
 
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_files import open_result
+from ringwear_par.results.export import export
+from ringwear_par.results.files import open_result
+from ringwear_par.results.run import run_case
 
 SMALL = ["mesh.contact_elements=16"]
 
@@ -46,13 +46,6 @@ def test_contours(runs, tmp_path):
         assert np.array_equal(data["pressure"][k:], upper.pressure)
     with h5py.File(tmp_path / "a.vtkhdf") as file:
         assert np.array_equal(file["VTKHDF/Steps/Values"], [state.time for state in states])
-
-
-def test_displacements_are_magnified(runs, tmp_path):
-    export(runs / "run.h5", tmp_path / "a.vtkhdf")
-    export(runs / "run.h5", tmp_path / "b.vtkhdf", scale=50.0)
-    data, warped = (last_state(tmp_path / f"{name}.vtkhdf") for name in "ab")
-    assert warped["points"] - data["points"] == pytest.approx(50 * data["displacement"], abs=1e-12)
 
 
 @pytest.mark.parametrize(("run", "segments"), [("run", 72), ("axis", 5)])
@@ -142,16 +135,6 @@ def test_texts_in_workbooks_are_no_formulas(tmp_path):
     write_xlsx(tmp_path / "a.xlsx", [("texts", ["a", "b"], [["=1+1", float("nan")]])])
     _, row = openpyxl.load_workbook(tmp_path / "a.xlsx")["texts"].iter_rows()
     assert [(cell.value, cell.data_type) for cell in row] == [("=1+1", "s"), (None, "n")]
-
-
-def test_no_half_files(runs, tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(h5py.Group, "__setitem__", full)
-    with pytest.raises(OSError, match="No space"):
-        export(runs / "run.h5", tmp_path / "a.vtkhdf")
-    assert not list(tmp_path.iterdir())
 
 
 def test_failures_of_the_command_are_one_sentence(runs, tmp_path, monkeypatch, capsys):

@@ -10,8 +10,8 @@ from parts import plot, profiles, share
 from paths import CASES
 
 import ringwear_par as rw
+from ringwear_par.results.export import export
 from ringwear_par.results.key_numbers import key_numbers
-from ringwear_par.results.storage.export import export
 
 CASE = CASES / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}

@@ -1,7 +1,6 @@
 """Figures: drawn from files alone, with axes that say what they show."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +9,8 @@ from parts import plot, plot_stored
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.key_numbers import instants
-from ringwear_par.results.storage.result_files import open_result
+from ringwear_par.results.files import open_result
+from ringwear_par.results.run import run_case
 
 
 @pytest.fixture(scope="module")
@@ -100,17 +98,6 @@ def test_deformed_sections(tmp_path, comm, case):
     assert np.array_equal(np.sort(np.asarray(colours.get_array())), np.sort(p))
 
 
-def test_results_and_files_are_drawn_alike(runs, tmp_path):
-    first, second = map(open_result, runs[:2])
-    drawn = []
-    for number, several in enumerate(([first, str(runs[1])], [runs[0], second], runs[:2])):
-        drawn.append(tmp_path / f"{number}.png")
-        plot(several, ["wear", "penetration"], profiles_of=several[1:]).savefig(drawn[-1])
-    assert len({path.read_bytes() for path in drawn}) == 1
-    with pytest.raises(rw.InputError, match="result files"):
-        plot([first], profiles_of=[second])
-
-
 def test_every_history_has_its_panel(runs):
     """What is drawn follows from what is stored: rates are means between states."""
     from parts import HISTORY_PANELS
@@ -144,68 +131,9 @@ def test_profiles_at_times_are_those_of_the_nearest_states(runs):
     assert [t.get_text() for t in axes.get_legend().texts] == ["0 s", "5 s", "15 s"]
 
 
-def test_what_is_not_stored_is_a_message_beside_what_is(runs, caplog):
-    plot(runs[2], "penetration")
-    assert not caplog.messages
-    plot(runs[1], "wear,pressure", times="5.04, 15.4, 0.25 min")
-    (message,) = caplog.messages  # once, and only where it can be seen
-    assert "15.4" in message
-    caplog.clear()
-    figure = plot(runs[:2], "wear,section,penetration")
-    assert len(figure.axes) == 3  # two panels of wear
-    assert [message.partition(" ")[0] for message in caplog.messages] == ["section"] * 2
-
-
-def test_long_histories_are_drawn_in_hours(tmp_path, comm):
-    keys = ["mesh.contact_elements=16", "time.steps=4", "time.step=1 h", "load.omega=0.01"]
-    run_case(PAPER, tmp_path / "a.h5", keys, comm=comm)
-    wear, penetration = plot(tmp_path / "a.h5").axes
-    assert penetration.get_xlabel() == "time (h)"
-    assert penetration.lines[0].get_xdata() == pytest.approx(np.arange(5.0))
-    assert wear.get_legend().texts[-1].get_text() == "4 h"
-
-
 @pytest.mark.parametrize("width", [None, 90.0])
 def test_no_text_covers_another(runs, width):
     for panels in ("wear,pressure", "wear,rate,pressure,energy"):
         figure = plot(runs[:2], panels, width=width)
         check_texts(figure)
         assert width is None or 25.4 * figure.get_figwidth() == pytest.approx(width)
-
-
-def test_many_times_are_colours_with_a_bar(runs):
-    figure = plot(runs[1], "wear,pressure", ",".join(map(str, range(17))))
-    check_texts(figure)
-    wear, bar, _, other_bar = figure.axes
-    assert bar.get_ylabel() == other_bar.get_ylabel() == "time (s)"
-    assert bar.get_ylim() == (0.0, 16.0)
-    assert len({line.get_color() for line in wear.lines if len(line.get_xdata()) > 2}) == 17
-
-
-def test_times_are_as_round_as_they_stay_apart():
-    assert instants([0.4608, 41.07, 86.75, 161.2, 200.0], 200.0) == [
-        "0.46 s", "41 s", "87 s", "161 s", "200 s"
-    ]  # fmt: skip
-    assert instants([0.0, 41.07, 41.08, 3601.0], 3601.0) == ["0 s", "41.07 s", "41.08 s", "3601 s"]
-
-
-def test_a_history_of_one_state_has_no_rate(runs):
-    whole = open_result(runs[1])
-    first = {name: values[:1] for name, values in whole.histories.items()}
-    begun = replace(whole, histories=first, step=whole.step[:1], steps_made=whole.steps_made[:1])
-    figure = plot(begun, "rate,pv,volume")
-    assert [len(axes.lines) for axes in figure.axes] == [0, 1, 1]
-
-
-def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
-    from parts import profiles
-
-    words = ["mesh.contact_elements=32", "time.steps=8"]
-    run_case(PAPER, tmp_path / "a.h5", words, comm=comm)
-    result = open_result(tmp_path / "a.h5")
-    pressure = result.profiles["pressure"]
-    assert pressure.max(axis=1).argmax() == 0  # of no stage
-    note = f"peak of {pressure.max():.4g} MPa at 0 s not shown"
-    (axes,) = plot(result, "pressure").axes
-    assert note in axes.get_legend().get_title().get_text()
-    assert note in profiles(result).charts[-1].caption

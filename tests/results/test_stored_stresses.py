@@ -9,7 +9,7 @@ from parts import COMPONENTS, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.results.storage.export import export
+from ringwear_par.results.export import export
 
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
@@ -143,24 +143,6 @@ def stored(tmp_path_factory, comm):
     return path
 
 
-def test_pictures_show_what_is_stored(stored):
-    result = rw.open_result(stored)
-    r, z = result.stress.grid
-    figure = rw.plot(result, ["stress", "depth", "mises"], times="0, 120")
-    first, bar, last, other, depth, largest = figure.axes
-    assert bar.get_ylabel() == other.get_ylabel() == "von Mises stress (MPa)"
-    # one scale, the worn face in the second only
-    assert len({axes.collections[0].norm.vmax for axes in (first, last)}) == 1
-    assert [len(axes.lines) for axes in (first, last)] == [0, 1]
-    for line, state in zip(depth.lines, (result.stress.states[i] for i in (0, -1)), strict=False):
-        values = mises(state.grid[int(np.abs(r - 30.0).argmin())])
-        drawn = line.get_xdata()
-        assert drawn[np.isfinite(drawn)] == pytest.approx(values[np.isfinite(values)])
-        assert len(line.get_ydata()) == len(z) + 2  # cut at both faces
-    lower = [state.largest[0].mises for state in result.stress.states]
-    assert largest.lines[0].get_ydata() == pytest.approx(lower)
-
-
 def test_exports(stored, tmp_path):
     state = rw.open_result(stored).stress.states[-1]
     known = np.isfinite(state.grid).all(axis=-1)
@@ -179,12 +161,6 @@ def test_exports(stored, tmp_path):
     assert header[:5] == ["step", "time (s)", "r (mm)", "z (mm)", "rr (MPa)"]
     assert len(rows) == 5 * 3
     assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
-
-
-def test_the_page_of_a_run_has_the_largest_stress(stored, tmp_path):
-    rw.report(stored, tmp_path / "run.html")
-    largest, _ = rw.open_result(stored).stress.states[-1].largest
-    assert f">{largest.mises:.5g}</td>" in (tmp_path / "run.html").read_text()
 
 
 def test_stresses_beside_the_contact_converge(comm):

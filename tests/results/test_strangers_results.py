@@ -66,7 +66,7 @@ def test_what_is_no_result_file_is_refused(run, how):
         run.write_bytes(contents[: len(contents) // 2] if how == "cut" else b"text")
     else:
         with h5py.File(run, "r+") as file:
-            place, name = (file.attrs, "angle") if how == "attribute" else (file, "time")
+            place, name = (file.attrs, "status") if how == "attribute" else (file, "time")
             del place[name]
     with pytest.raises(rw.InputError, match="is not a result file"):
         rw.open_result(run)

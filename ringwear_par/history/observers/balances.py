@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, relative
+from ringwear_par.arrays import FloatArray, relative
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -144,11 +144,14 @@ class WorstBalances:
         """Return the worst balances of one history."""
         return Balances(*self._worst[:, number].tolist())
 
-    def reactions(self, numbers: IntArray) -> tuple[float, float]:
-        """Return the worst ``torque`` or ``reaction`` of some histories, and its time, s."""
-        rows = [[_NAMES.index("torque")], [_NAMES.index("reaction")]]
-        worst, times = self._worst[rows, numbers], self._times[rows, numbers]
-        return float(worst.max()), float(times.flat[worst.argmax()])
+    @property
+    def reactions(self) -> FloatArray:
+        """(2, B) the worst ``torque`` or ``reaction`` of each, and its time, s."""
+        rows = [_NAMES.index("torque"), _NAMES.index("reaction")]
+        worst = self._worst[rows].argmax(axis=0)[None]
+        return np.stack(
+            [np.take_along_axis(values[rows], worst, 0)[0] for values in (self._worst, self._times)]
+        )
 
     @property
     def worst(self) -> Balances:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, largest
+from ringwear_par.arrays import FloatArray, largest
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -114,21 +114,9 @@ class WorstStates:
         return False
 
     @property
-    def moved(self) -> FloatArray:
-        """(B,) mm, the larger of approach and depths of wear."""
-        return self._table[self._rows[_MOVED], 0]
-
-    def worst(self, numbers: IntArray) -> dict[str, list[float]]:
-        """Return the measures of a history by name, ENTRIES numbers each.
-
-        Of several, the largest of each number, and the smallest of their largest forces.
-        """
-        table, force = self._table[..., numbers], self._rows[_FORCE]
-        worst = table[..., 0]
-        if len(numbers) > 1:
-            worst = table.max(axis=2)
-            worst[force] = table[force].min(axis=1)
-        return dict(zip(self._rows, worst.tolist(), strict=True))
+    def measures(self) -> dict[str, FloatArray]:
+        """The measures by name, (ENTRIES, B) each."""
+        return dict(zip(self._rows, self._table, strict=True))
 
     def restore(self, before: Mapping[str, Sequence[float]]) -> None:
         """Take the measures that an interrupted single history had."""

@@ -10,7 +10,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -36,8 +36,8 @@ from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.key_panels import design_panels
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.style import picture
-from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.result import Outcome
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
@@ -68,8 +68,6 @@ class Design:
 @dataclass(frozen=True, eq=False)
 class DesignResult(Outcome):
     """The result of ``design``: all tests that could be made, and what any of them would tell."""
-
-    functions: ClassVar = {}
 
     #: the fit
     problem: Problem

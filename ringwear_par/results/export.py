@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,22 +20,11 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import check_writable
+from ringwear_par.results.files import result_of, variables_of
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
-from ringwear_par.results.laboratory_numbers import (
-    LABORATORY_NUMBERS,
-    laboratory_inputs,
-    laboratory_numbers,
-)
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
+from ringwear_par.results.layers import Interface, interfaces_of, stresses
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.result_files import result_of
-from ringwear_par.results.storage.vtkhdf import (
-    contours,
-    interface_cells,
-    stress_cells,
-    surfaces,
-    write_vtkhdf,
-)
-from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
@@ -43,9 +33,21 @@ from ringwear_par.results.variables import (
     PROFILES,
     Variable,
 )
+from ringwear_par.results.vtkhdf import (
+    contours,
+    interface_cells,
+    stress_cells,
+    surfaces,
+    write_vtkhdf,
+)
 
 _MOST_SEGMENTS = 3600
-_ENDINGS = (".vtkhdf", ".csv", ".xlsx")
+#: options by the ending of the file: one of them, or --revolve and --scale
+_CHOICES = {
+    ".vtkhdf": ("--revolve", "--scale", "--stress", "--interfaces"),
+    ".csv": ("--fields", "--stress", "--interfaces"),
+    ".xlsx": (),
+}
 DECIMALS = ("point", "comma")
 
 
@@ -79,28 +81,23 @@ def export(
     ------
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
-    ending, changed = output.suffix, segments is not None or scale is not None or fields
-    if ending not in _ENDINGS:
-        raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
     check_tables(output, decimal)
-    if ending == ".xlsx" and (changed or stress or interfaces):
-        raise InputError(f"{output}: holds all tables; must be without other options")
-    if interfaces and (changed or stress):
-        raise InputError(
-            f"--interfaces: {output}: must be without --revolve, --scale, --fields, --stress"
-        )
-    if stress and changed:
-        raise InputError(f"--stress: {output}: must be without --revolve, --scale, --fields")
-    if fields and ending != ".csv":
-        raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
-    if segments is not None and (ending == ".csv" or not 3 <= segments <= _MOST_SEGMENTS):
-        raise InputError(
-            f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}, and for .vtkhdf "
-            "only"
-        )
-    if scale is not None and (ending == ".csv" or not np.isfinite(scale)):
-        raise InputError(f"--scale {scale:g}: must be a number, and for .vtkhdf only")
+    wanted = {"--revolve": segments is not None, "--scale": scale is not None,
+              "--fields": fields, "--stress": stress, "--interfaces": interfaces}  # fmt: skip
+    chosen = [name for name, value in wanted.items() if value]
+    allowed = _CHOICES.get(output.suffix)
+    if allowed is None:
+        raise InputError(f"{output}: its ending must be one of {', '.join(_CHOICES)}")
+    if chosen not in ([], ["--revolve", "--scale"], *([name] for name in allowed)) or not (
+        {*chosen} <= {*allowed}
+    ):
+        must = f"one of {', '.join(allowed)}" if allowed else "without options of runs"
+        raise InputError(f"{' '.join(chosen)}: {output}: must be {must}")
+    if segments is not None and not 3 <= segments <= _MOST_SEGMENTS:
+        raise InputError(f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}")
+    if scale is not None and not np.isfinite(scale):
+        raise InputError(f"--scale {scale:g}: must be a number")
     result = result_of(run)
     if output.suffix == ".xlsx":
         return f"{output}: {write_xlsx(output, run_sheets(result))}"
@@ -244,21 +241,15 @@ def boundary_states(result: Result) -> Sequence[BoundaryState]:
 
 def _history_table(result: Result) -> Table:
     """Return the histories, a row for each stored state."""
-    header = ["step", *map(titled, HISTORIES.values())]
-    columns = [result.step, *(result.histories[name] for name in HISTORIES)]
-    for name, values in result.layers.items():
-        if name in LAYER_HISTORIES:
-            header.append(titled(LAYER_HISTORIES[name]))
-            columns.append(values)
-        elif name in LAYER_VOLUMES:
-            volume = LAYER_VOLUMES[name]
-            header += [titled(volume.named(f"{name}[{i}]")) for i in range(values.shape[1])]
-            columns += list(values.T)
-    for name, values in laboratory_numbers(laboratory_inputs(result)).items():
-        header.append(titled(LABORATORY_NUMBERS[name].variable))
-        columns.append(values)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return "histories", header, rows
+    columns: dict[str, Any] = {"step": result.step}
+    variables = variables_of(result)
+    for name in (*HISTORIES, *LAYER_HISTORIES, *LAYER_VOLUMES, *LABORATORY_NUMBERS):
+        variable, values = variables.get(name, (HISTORIES["time"], np.empty((0, 0))))
+        if values.ndim == 1:
+            columns[titled(variable)] = values
+        for i, column in enumerate(values.T if values.ndim == 2 else ()):
+            columns[titled(variable.named(f"{name}[{i}]"))] = column
+    return "histories", [*columns], zip(*(c.tolist() for c in columns.values()), strict=True)
 
 
 def _contact_table(result: Result) -> Table:

@@ -1,20 +1,19 @@
 """Preparation of ``ringwear run``: a case, an output to write, and the run that it continues."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from ringwear_par.cases.case import Case, Output
-from ringwear_par.cases.files.keys import named_files, read_keys
-from ringwear_par.cases.files.law_trials import law_files, law_sources
-from ringwear_par.cases.files.reading import parse_case, read_case
+from ringwear_par.cases.case import SAME_TIME, Case, Output
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.law_trials import law_sources
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import InputError
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.refusals.cases import check_case
+from ringwear_par.results.files import open_result, restored
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
+from ringwear_par.version import __version__
 
 #: endings of names of result files
 _ENDINGS = (".h5", ".hdf5", ".nc")
@@ -84,20 +83,25 @@ def _interrupted(output: Path, case: Case, restart: bool) -> Result | None:
 
     A run that is complete, or that failed, is replaced without a question.
     """
-    present = read_status(output)
-    if present is None:
+    if not output.exists():
         return None
-    status, steps = present
-    if not restart and (status == "complete" or read_error(output)):
+    try:
+        before = open_result(output)
+    except InputError as error:
+        raise InputError(
+            f"{error}; must be one (--restart), another name, or be replaced by --overwrite"
+        ) from error
+    about = before.attributes
+    if not restart and (about["status"] == "complete" or about["error"]):
         return None
-    before = open_result(output)
     fault = _difference(before, case)
     if restart and not fault:
         return before
     if restart:
         raise InputError(f"{output}: {fault}")
     raise InputError(
-        f"{output}: holds a run that was interrupted after step {steps}; "
+        f"{output}: holds a run that was interrupted after step "
+        f"{restored(before).progress.steps[0]}; "
         + (
             "it is one of another case, and --overwrite replaces it"
             if fault
@@ -107,37 +111,37 @@ def _interrupted(output: Path, case: Case, restart: bool) -> Result | None:
 
 
 def _difference(before: Result, case: Case) -> str:
-    """Return why a stored run cannot go on to the end of a case, "" if it can."""
+    """Return why a stored run cannot go on to the end of a case, "" if it can.
+
+    Keys are compared as they are written, since to read a stored case is to run the laws in it.
+    """
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    if (version := before.attributes["version"]) != __version__:
+        return f"was computed by version {version}, this is {__version__}; --restart needs the same"
     if before.user_laws != law_sources(case):
         return (
             "was computed with another wear law in a Python file than there is now; --restart "
             "needs the same"
         )
-    growing = "time.end" if case.time.adaptive else "time.steps"
-    refusal = (
-        f"holds another case; --restart needs the same case, only {growing} and limits in [stop] "
-        "may grow"
-    )
-    # to read a case is to run the laws that it names: of a stored one only what this one runs too
-    if named_files(read_keys(before.case, str(before.path))) != law_files(case):
-        return refusal
-    stored = parse_case(before.case, str(before.path))
-    same = replace(stored, time=case.time, title=case.title, text=case.text, stop=case.stop)
-    longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
-    limits = dict(stored.stop)  # those that are gone now are infinite
-    grown = all(limits.get(name, math.inf) <= limit for name, limit in case.stop)
-    if same != case or longer != case.time or not grown:
-        return refusal
-    reached = restored(before)
-    time, steps = float(reached.state.time[0]), int(reached.progress.steps[0])
-    if case.time.adaptive and time > case.time.end:
+    if _continued(before.case) != _continued(case.stored_text):
         return (
-            f"holds {time:g} s, time.end = {case.time.end:g}: must be at least "
-            "as long with --restart"
+            f"holds another case; --restart needs the same case, only {growing} and limits in "
+            "[stop] may change"
         )
-    if not case.time.adaptive and steps > case.time.steps:
+    reached = float(restored(before).state.time[0])
+    if reached > case.time.end * (1.0 + SAME_TIME):
         return (
-            f"holds {steps} steps, time.steps = {case.time.steps}: must be at "
-            "least as many with --restart"
+            f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
+            "long with --restart"
         )
     return ""
+
+
+def _continued(text: str) -> dict[str, Any]:
+    """Return those keys of a case that must be the same where a run goes on."""
+    keys = read_keys(text)
+    return {
+        key: value
+        for key, value in keys.items()
+        if key not in ("title", "time.end", "time.steps") and not key.startswith("stop.")
+    }

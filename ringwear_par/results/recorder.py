@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
@@ -19,17 +19,22 @@ from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
-from ringwear_par.results.execution.attributes import (
-    assembly_cost,
+from ringwear_par.results.attributes import (
     case_attributes,
     times_through,
     wall_times,
 )
-from ringwear_par.results.execution.stored_states import LastStates, StoredRows
+from ringwear_par.results.fields import (
+    boundary_arrays,
+    point_columns,
+    stress_arrays,
+    stress_rows,
+)
 from ringwear_par.results.laboratory_numbers import end_numbers
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
-from ringwear_par.results.storage.result_variables import point_columns, stress_rows
-from ringwear_par.results.warnings import Warnings
+from ringwear_par.results.rows import LastStates, StoredRows
+from ringwear_par.results.variables import LAYER_ENDS
+from ringwear_par.results.warnings import INFINITE, Measures, Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
@@ -113,7 +118,7 @@ class Recorder:
         steps, reached = int(self.start.progress.steps[0]), float(self.start.state.time[0])
         stored, finished = before.histories["time"][rows], case.time.finished(steps, reached)
         self._boundary.restore(before.boundary, stored, finished)
-        self._stresses.restore(before.stress, stored, finished, worst["infinite_stress"])
+        self._stresses.restore(before.stress, stored, finished, worst[INFINITE])
         names = [f"wear_{body}" for body in ("lower", "upper")]
         if case.output.profiles == "all" and set(names) <= before.profiles.keys():
             wear = np.array([before.profiles[name] for name in names])
@@ -148,7 +153,17 @@ class Recorder:
         failed = [number in failures for number in range(count)]
         stops = [() if bad else self._last.stops.get(i, ()) for i, bad in enumerate(failed)]
         warnings = self.warnings.histories(failed)
-        rows = self._rows.columns()
+        rows, whole = self._rows.columns(), times_through(self._cases[0], self._last.through)
+        # cases ask for the same stresses, or for none
+        histories = [self._stresses.history(number) for number in range(count)]
+        times = np.split(rows["histories"]["time"], rows["offsets"][1:-1])
+        stresses = [
+            stress_rows(history, at)
+            for history, at in zip(histories, times, strict=True)
+            if history is not None
+        ]
+        if histories[0] is not None:
+            whole |= {n: np.tile(v, (count, 1)) for n, v in point_columns(histories[0]).items()}
         columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
@@ -159,28 +174,11 @@ class Recorder:
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if bad else "done" for bad in failed),
             reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
-            stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
-            whole=self._single_values(),
+            stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
+            whole=whole,
         )
         numbers = end_numbers(self._cases, columns, self._last.normal_work)
         return replace(columns, whole={**columns.whole, **numbers}), warnings
-
-    def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
-        """Return the stored stresses of all rows; cases ask for the same, or for none."""
-        parts = [
-            stress_rows(history, times[offsets[number] : offsets[number + 1]])
-            for number in range(len(self._cases))
-            if (history := self._stresses.history(number)) is not None
-        ]
-        return {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
-
-    def _single_values(self) -> dict[str, FloatArray]:
-        """Return values of whole histories: times when layers were worn through, stress points."""
-        values = times_through(self._cases[0], self._last.through)
-        if (history := self._stresses.history(0)) is not None:
-            count = len(self._cases)
-            values |= {n: np.tile(v, (count, 1)) for n, v in point_columns(history).items()}
-        return values
 
     # -- results -----------------------------------------------------------------------------------
 
@@ -192,14 +190,17 @@ class Recorder:
         error : why the history cannot go on, "" where it can.
         """
         columns, (warnings,) = self._recorded(_NO_FAILURES)
-        return self._result(0, columns, warnings, error)
+        return self._result(0, columns, warnings, self.warnings.measures(), error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
         columns, warnings = self._recorded(failures)
+        measures = self.warnings.measures()
         return [
-            failures[number] if number in failures else self._result(number, columns, doubts)
+            failures[number]
+            if number in failures
+            else self._result(number, columns, doubts, measures)
             for number, doubts in enumerate(warnings)
         ]
 
@@ -208,13 +209,14 @@ class Recorder:
         number: int,
         columns: HistoryColumns,
         warnings: Sequence[ValidityWarning],
+        measures: Measures,
         error: str = "",
     ) -> Result:
         case, rows = self._cases[number], columns.rows(number)
-        last, place = self._last.state(number)
-        steps, time_reached = columns.steps[rows], float(last.start.state.time[place])
+        start, place, defect = self._last.state(number)
+        steps, time_reached = columns.steps[rows], float(start.state.time[place])
         through = times_through(case, self._last.through[:, number])
-        worst = self.warnings.worst(np.array([number]))
+        worst = {name: values[:, number].tolist() for name, values in measures.items()}
         about = case_attributes(case, time_reached)
         balances = vars(self._balances.history(number)).copy()
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
@@ -222,38 +224,34 @@ class Recorder:
         if number in self._last.stops:
             about["stopped_by"] = " and ".join(self._last.stops[number].values())
 
-        def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-            parts = {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
-            return {name: np.require(values, requirements="W") for name, values in parts.items()}
-
+        data: dict[str, Any] = {"step": steps, "line/edges": case.line.edges}
+        numbers = np.arange(len(steps))
+        if case.output.times and not np.array_equal(steps, numbers):
+            data |= {"step": numbers, "steps_made": steps}
+        for table in (columns.histories, columns.profiles, columns.layers):
+            data |= {n: self._rows.part(n, column, rows, number) for n, column in table.items()}
+        for i, name in enumerate(LAYER_ENDS):
+            if case.rings[i].layers:
+                data[name] = case.layer_ends(i)
+        if (stresses := self._stresses.history(number)) is not None:
+            data |= stress_arrays(stresses)
+        data |= boundary_arrays(self._boundary.states)
         return Result(
-            case.line,
-            np.arange(len(steps)) if case.output.times else steps,
-            steps,
-            {name: values[rows] for name, values in columns.histories.items()},
-            part(columns.profiles),
-            tuple(self._boundary.states),
+            data,
             {
                 **about,
                 **{name: float(time) for name, time in through.items()},
-                "status": "complete" if last.finished[place] else "incomplete",
+                "status": "complete" if self._last.has_ended(number) else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                "begun_by": self._before.get("begun_by", about["version"]),
                 **self.seconds(),
                 **balance_attributes(balances),
-                "symmetry_defect": float(last.symmetry_defect[place]),
+                "symmetry_defect": defect,
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
-            Checkpoint(last.start, place, int(self._rows.pending[number]), worst),
-            layers=part(columns.layers),
-            stress=self._stresses.history(number),
+            Checkpoint(start, place, int(self._rows.pending[number]), worst),
         )  # fmt: skip
-
-    def kernel_evaluations(self) -> int:
-        """Return how many kernels were evaluated for both bodies, updates included."""
-        return assembly_cost(self._last.physics).kernel_evaluations
 
     def seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.

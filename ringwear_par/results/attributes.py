@@ -8,7 +8,6 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
-from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.physics import Physics
 from ringwear_par.results.variables import TIMES_THROUGH
@@ -89,17 +88,6 @@ def times_through(case: Case, through: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def assembly_cost(physics: Physics, *, shared: bool = True) -> BodyCost:
-    """Return the cost of a contact pair and of elements that follow the wear. Not collective.
-
-    Parameters
-    ----------
-    shared : whether a pair counts that was assembled elsewhere.
-    """
-    counted = shared or not physics.pair_is_shared
-    return physics.update_cost + physics.pairs[0].cost if counted else physics.update_cost
-
-
 def wall_times(physics: Physics, stepping: float, output: float) -> dict[str, float]:
     """Return wall times by attribute, s.
 
@@ -108,7 +96,9 @@ def wall_times(physics: Physics, stepping: float, output: float) -> dict[str, fl
     stepping : from the start of a history to its last state, all included.
     output : of it, spent on files.
     """
-    cost = assembly_cost(physics, shared=False)
+    cost = physics.update_cost
+    if not physics.pair_is_shared:  # of which the assembly is another's time
+        cost = cost + physics.pairs[0].cost
     return {
         "seconds_assembly": cost.seconds_assembly,
         "seconds_factorisation": cost.seconds_solution,

@@ -4,7 +4,6 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 log = logging.getLogger(__name__)
@@ -56,35 +55,6 @@ class Progress:
         """Remove the bar."""
         if self._bar is not None:
             self._bar.close()
-
-
-class SweepProgress(Progress):
-    """Shows cases done and failed, rate and time left.
-
-    Parameters
-    ----------
-    done, failed : cases that had ended before.
-    total : all cases.
-    ended : returns how many are done and have failed since.
-    """
-
-    def __init__(
-        self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]]
-    ) -> None:
-        super().__init__(total, done + failed)
-        self._before, self._total, self._ended = (done, failed), total, ended
-
-    def __call__(self) -> None:
-        """Show how far the sweep is, if it is due."""
-        if self.is_due():
-            done, failed = self._ended()
-            ended = done + failed + sum(self._before)
-            rate = (done + failed) / (time.perf_counter() - self._begun)
-            self.show(
-                ended, "%d of %d cases ended, %d failed, %.3g a second, %s left", ended,
-                self._total, failed + self._before[1], rate,
-                duration((self._total - ended) / rate if rate else math.inf),
-            )  # fmt: skip
 
 
 def duration(seconds: float) -> str:

@@ -6,7 +6,7 @@ and how they are stored against those that its format has since version 1.10.
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -53,50 +53,6 @@ def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5
         if isinstance(error, OSError) and error.errno:  # somebody writes to it, a disk is away
             raise UnreadableError(f"{path}: cannot be read: {os.strerror(error.errno)}") from error
         raise InputError(f"{path}: is not {kind}, or is damaged{must}") from error
-
-
-def read_array(group: h5py.Group, variable: Variable, sizes: dict[str, int]) -> Any:
-    """Return the values of a variable, see ``find_array``."""
-    return find_array(group, variable, sizes)[()].astype(variable.dtype, copy=False)
-
-
-def find_array(group: h5py.Group, variable: Variable, sizes: dict[str, int]) -> h5py.Dataset:
-    """Return a variable; its shape and type must be those that it is written with.
-
-    Parameters
-    ----------
-    sizes : of the dimensions that are known; others are added.
-
-    Raises
-    ------
-    ValueError : they are not.
-    """
-    dataset = find_words(group, variable.name, sizes, variable.dimensions)
-    if dataset.dtype.kind not in ("iu" if variable.integer else "f"):
-        raise ValueError(variable.name)
-    return dataset
-
-
-def find_texts(group: h5py.Group, name: str, sizes: dict[str, int], dimension: str = "case") -> Any:
-    """Return a variable of texts, one a case, as ``find_array`` does."""
-    return find_words(group, name, sizes, (dimension,)).asstr()
-
-
-def find_words(
-    group: h5py.Group, name: str, sizes: dict[str, int], dimensions: Sequence[str] = ("case",)
-) -> h5py.Dataset:
-    """Return a variable of texts in bytes as ``find_array`` does."""
-    dataset = group[name]
-    for dimension, size in zip(dimensions, map(int, dataset.shape), strict=True):
-        if sizes.setdefault(dimension, size) != size:
-            raise ValueError(dimension)
-    return dataset
-
-
-def read_words(group: h5py.Group, name: str, sizes: dict[str, int]) -> Any:
-    """Return a variable of texts, one a case, as bytes in one array."""
-    words = find_words(group, name, sizes)[:]
-    return words if words.dtype.kind == "S" else np.array(words.tolist() or [b""])[: len(words)]
 
 
 @contextmanager

@@ -1,13 +1,12 @@
 """Observers of stored states: rows of variables, and last states, from which histories go on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ringwear_par import batched
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, is_one_number, share
+from ringwear_par.arrays import BoolArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.history.inputs import StoredStates
 from ringwear_par.history.physics import Physics
@@ -27,14 +26,7 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
     All but ``penetration`` and ``contact_iterations``, which other states have a part in.
     """
     contact, volumes = state.contact, physics.integrals(state.wear)
-    nowhere = np.broadcast_to(0.0, contact.pressure.shape)
-    lower, upper = (
-        nowhere if law is None else wear
-        for law, wear in zip(physics.inputs.laws, state.wear, strict=True)
-    )
-    # in contact it is 0 all but round-off
-    closed = contact.pressure > 0.0
-    gap = nowhere if closed.all() else np.where(closed, 0.0, contact.gap)
+    lower, upper = state.wear
     sliding = physics.sliding(state.time)
     values = {
         "time": state.time,
@@ -46,7 +38,8 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,
         "pressure": contact.pressure,
-        "gap": gap,
+        # in contact it is 0 all but round-off
+        "gap": np.where(contact.pressure > 0.0, 0.0, contact.gap),
         "wear_lower": lower,
         "wear_upper": upper,
     }
@@ -153,8 +146,7 @@ class StoredRows:
         part = slice(None) if len(stored) == len(snapshot.numbers) else stored
         for name, rows in self._rows.items():
             if name not in _SINCE_START:
-                alike = is_one_number(values[name])
-                rows.append(values[name][slice(len(stored)) if alike else part])
+                rows.append(values[name][part])
         # a single history may be stored before its end
         last = np.flatnonzero(snapshot.finished) if self._count > 1 else stored
         for name, profiles in self._last_profiles.items() if len(last) else ():
@@ -202,8 +194,6 @@ class StoredRows:
             empty = np.empty(self._shape(name, 0), variable.dtype)
             return np.concatenate([empty, *parts], axis=-1)[..., order]
         shape, first = self._shape(name, len(order)), 0
-        if all(is_one_number(part) and not part.any() for part in parts):
-            return np.broadcast_to(0.0, shape)
         column = np.empty(shape)
         for part in parts:
             last = first + len(part)
@@ -214,26 +204,6 @@ class StoredRows:
     def _shape(self, name: str, rows: int) -> tuple[int, ...]:
         """Return the shape of so many rows of a variable, or of so many histories' last ones."""
         return tuple(self._sizes.get(axis, rows) for axis in VARIABLES[name].dimensions)
-
-
-@dataclass(frozen=True)
-class LastState:
-    """The present or last states of B histories."""
-
-    #: to continue from
-    start: Start
-    #: (B,) of the compliances
-    symmetry_defect: FloatArray
-    #: (B,) whether the histories have come to their ends
-    finished: BoolArray
-
-    @classmethod
-    def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
-        """Return the states of some histories of a snapshot."""
-        physics, state = snapshot.physics, snapshot.state
-        start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
-        defect = physics.compliances.symmetry_defect
-        return batched.take(cls(start, defect, snapshot.finished), places)
 
 
 class LastStates:
@@ -255,7 +225,8 @@ class LastStates:
         self.normal_work = np.full(count, np.nan)
         #: limits that ended histories before their times, in words by criterion, by number
         self.stops: dict[int, dict[str, str]] = {}
-        self._ended: dict[int, tuple[LastState, int]] = {}
+        #: starts of histories that ended together, the place of each, and its symmetry defect
+        self._ended: dict[int, tuple[Start, int, float]] = {}
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take new states."""
@@ -272,8 +243,8 @@ class LastStates:
         if snapshot.state.through is not None:
             self.through[:, numbers] = snapshot.state.through[:, places]
         if self._results:
-            states = LastState.of(snapshot, places)
-            self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
+            start, defects = _starts(snapshot, places)
+            self._ended |= {n: (start, i, defects[i]) for i, n in enumerate(numbers.tolist())}
         return False
 
     def _note_stops(self, snapshot: Snapshot, places: IntArray) -> None:
@@ -288,12 +259,17 @@ class LastStates:
                 limits = {n: limit_words(case, n) for n, which in reached.items() if which[i]}
                 self.stops[int(snapshot.numbers[i])] = limits
 
-    def state(self, number: int) -> tuple[LastState, int]:
-        """Return the state of a history at its end, or its present one, and which it is of some."""
+    def state(self, number: int) -> tuple[Start, int, float]:
+        """Return the end or present of a history: of some starts one, and its symmetry defect."""
         if number in self._ended:
             return self._ended[number]
         assert self.snapshot is not None
-        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number)), 0
+        start, defects = _starts(self.snapshot, np.flatnonzero(self.snapshot.numbers == number))
+        return start, 0, defects[0]
+
+    def has_ended(self, number: int) -> bool:
+        """Tell whether a history has come to its end."""
+        return number in self._ended
 
     @property
     def physics(self) -> Physics:
@@ -305,3 +281,11 @@ class LastStates:
     def finished(self) -> bool:
         """Whether a single history has come to its end."""
         return self.snapshot is not None and bool(self.snapshot.finished.all())
+
+
+def _starts(snapshot: Snapshot, places: IntArray) -> tuple[Start, list[float]]:
+    """Return where histories of a snapshot continue, and symmetry defects."""
+    physics, state = snapshot.physics, snapshot.state
+    start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
+    defects = physics.compliances.symmetry_defect[places].tolist()
+    return batched.take(start, places), defects

@@ -9,7 +9,7 @@ from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 
 

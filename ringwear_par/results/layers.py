@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, share
-from ringwear_par.cases.case import CHANGED
-from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import InputError
@@ -97,18 +95,6 @@ _ON = 1e-9
 
 
 @dataclass(frozen=True)
-class LayerEnd:
-    """The end of a layer."""
-
-    #: of the layer
-    body: BodyName
-    #: its number, 0 at the contact face
-    layer: int
-    #: (n,) float, mm, below the unworn face, along the axis, under the contact elements
-    depth: FloatArray
-
-
-@dataclass(frozen=True)
 class WornLayer:
     """A layer that wear has got through."""
 
@@ -122,29 +108,14 @@ class WornLayer:
     time: float
 
 
-def layer_ends(result: Result, body: BodyName) -> list[LayerEnd]:
-    """Return where the layers of a body end, none where it has none. Not collective.
+def ends_near_wear(result: Result, body: BodyName) -> dict[int, FloatArray]:
+    """Return depths (n,) mm of ends of layers that wear comes near somewhere, by layer.
 
-    Of a case that was changed after it was read only the innermost is known, if at all.
+    Depths are below the unworn face, along the axis; of the wear a profile is stored.
     """
-    left = result.layers.get(f"layer_left_{body}")
-    if left is None:
-        return []
-    if result.case.startswith(CHANGED):
-        innermost = result.layers[f"worn_volume_{body}_layers"].shape[1] - 2
-        return [LayerEnd(body, innermost, left[0])] if left.ndim == 2 else []
-    outline = outlines(result.case, result.name)[BODIES.index(body)]
-    face = np.interp(result.line.gap_point, *outline.contour[:-2].T)
-    return [
-        LayerEnd(body, number, np.abs(face - height))
-        for number, height in enumerate(outline.interfaces)
-    ]
-
-
-def layer_ends_near_wear(result: Result, body: BodyName) -> list[LayerEnd]:
-    """Return the ends of layers that wear, of which a profile is stored, comes near somewhere."""
     deepest = float(result.profiles[f"wear_{body}"].max())
-    return [end for end in layer_ends(result, body) if end.depth.min() <= _FAR * deepest]
+    ends = enumerate(result.data.get(f"layer_end_{body}", ()))
+    return {layer: depth for layer, depth in ends if depth.min() <= _FAR * deepest}
 
 
 def worn_layers(result: Result, body: BodyName) -> list[WornLayer]:
@@ -158,12 +129,12 @@ def worn_layers(result: Result, body: BodyName) -> list[WornLayer]:
         last = result.checkpoint.state
         wear, times = last.wear[BODIES.index(body)][None], np.array([last.time])
     layers, area = [], result.line.area
-    for end in layer_ends(result, body):
-        gone = wear >= end.depth * (1.0 - _ON)
+    for layer, depth in enumerate(result.data.get(f"layer_end_{body}", ())):
+        gone = wear >= depth * (1.0 - _ON)
         if gone.any():
             first = int(gone.any(axis=1).argmax())
-            deepest = int(np.where(gone[first], wear[first] - end.depth, -np.inf).argmax())
+            deepest = int(np.where(gone[first], wear[first] - depth, -np.inf).argmax())
             r = float(result.line.r[deepest])
             through = share(area, gone[-1])
-            layers.append(WornLayer(end.layer, through, r, float(times[first])))
+            layers.append(WornLayer(layer, through, r, float(times[first])))
     return layers

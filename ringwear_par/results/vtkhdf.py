@@ -20,8 +20,8 @@ from ringwear_par.elasticity.stress.fields import (
     max_shear,
     mises,
 )
-from ringwear_par.results.storage.hdf5 import atomic_hdf5
-from ringwear_par.results.subsurface import Interface
+from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.layers import Interface
 
 _VERSION = (2, 0)
 #: VTK's numbers of a line through several points, and of a quadrangle
