@@ -18,17 +18,11 @@ from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import fitted_test, scores_and_information
-from ringwear_par.identification.histories import HistoryError, Readings, StoppedError
+from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.record_checks import refuse_unfit
-from ringwear_par.identification.setting import random_wear
 from ringwear_par.identification.solution import Solution, solve
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.laboratory_numbers import (
-    LABORATORY_NUMBERS,
-    laboratory_inputs,
-    laboratory_numbers,
-)
 from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
@@ -97,19 +91,17 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
 
     def lead() -> FitResult:
         refuse_unfit(readings)
-        return _result(readings, solve(readings))
+        return _result(solve(readings))
 
     return readings.lead(lead)
 
 
-def _result(readings: Readings, solution: Solution) -> FitResult:
-    """Return the result of a solution. On the first rank, within ``lead``."""
+def _result(solution: Solution) -> FitResult:
+    """Return the result of a solution. On the first rank."""
     problem, posterior = solution.problem, solution.posterior
     random = np.random.default_rng(0)
     x = posterior.of_tests(solution.theta)
     best = posterior.of_tests(solution.best)
-    if problem.settings.process:
-        solution = replace(solution, depths=random_wear(readings, np.median(x, axis=0))[1])
     material = posterior.material(solution.theta, random)
     draws, rows = _draws(solution, material)
     some = rows[:: max(1, len(rows) // _BANDS)]
@@ -133,8 +125,7 @@ def _result(readings: Readings, solution: Solution) -> FitResult:
             solution, material, np.maximum(information[1], 1e-300) ** -0.5, material[some],
             nuisances,
         ),
-        tests=tests, information=information, laboratory=_laboratory(readings, best),
-        versions=versions(),
+        tests=tests, information=information, versions=versions(),
     )  # fmt: skip
 
 
@@ -170,19 +161,3 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
         effective=min(solution.effective, float(len(rows))),
     )  # fmt: skip
     return draws, rows
-
-
-def _laboratory(readings: Readings, x: FloatArray) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return the numbers of laboratories at the end of each test, at unknowns (tests, m)."""
-    numbers = {}
-    for i, test in enumerate(readings.problem.experiments):
-        try:
-            result = readings.history(i, x[i])
-        except HistoryError:
-            continue
-        numbers[test.name] = {
-            name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].variable.unit}
-            for name, values in laboratory_numbers(laboratory_inputs(result)).items()
-            if np.isfinite(values[-1])
-        }
-    return numbers

@@ -29,7 +29,6 @@ def to_dict(fit: "FitResult") -> dict[str, Any]:
         "specimens": len({test.groups[0] for test in problem.experiments}),
         "process": {key: dict(entry) for key, entry in fit.process.items()},
         "experiments": fit.experiments,
-        "tests": dict(fit.laboratory),
         "nuisance": fit.nuisances,
         "inputs": _inputs(fit),
         "histories": solution.histories,

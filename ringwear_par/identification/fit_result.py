@@ -37,7 +37,6 @@ class FitResult(Outcome):
     entries, process : of the fitted keys and of random wear, as fit.json has them.
     tests : at the mode and among the draws.
     information : (2, tests, m) slopes of log p of each test at the mode, and minus its curvatures.
-    laboratory : numbers of laboratories at the end of each test, by its name.
     versions : of the software.
     alternatives : outcomes under other laws, by name.
     failed : why there is no outcome under some other laws, by name.
@@ -50,7 +49,6 @@ class FitResult(Outcome):
     process: Mapping[str, dict[str, Any]]
     tests: tuple[FittedTest, ...]
     information: FloatArray
-    laboratory: Mapping[str, dict[str, dict[str, Any]]]
     versions: Mapping[str, str]
     alternatives: "Mapping[str, FitResult]" = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
@@ -164,9 +162,9 @@ class FitResult(Outcome):
                 for nuisance in series.nuisances:
                     if (number, nuisance.kind) not in test.nuisances:
                         continue
-                    entry = told(test.nuisances[number, nuisance.kind])
+                    entry = mean_and_sd(test.nuisances[number, nuisance.kind])
                     if nuisance.kind == "thermal":
-                        entry["time"] = told(test.growth_times[number])
+                        entry["time"] = mean_and_sd(test.growth_times[number])
                     entry |= {"power": True} if nuisance.power else {}
                     of_test = nuisances.setdefault(test.experiment.name, {})
                     of_test.setdefault(series.name, {})[nuisance.kind] = entry
@@ -227,7 +225,7 @@ class FitResult(Outcome):
         return plot_specimens(self)
 
 
-def told(draws: FloatArray) -> dict[str, Any]:
+def mean_and_sd(draws: FloatArray) -> dict[str, Any]:
     """Return the mean of draws (s,) and their sd; None where readings do not change them."""
     sd = float(draws.std())
     return {"estimate": float(draws.mean()), "sd": sd if sd > 0.0 else None}

@@ -22,7 +22,7 @@ from ringwear_par.identification.histories import HistoryError, Readings, cases_
 from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
 from ringwear_par.identification.posterior import Layout, Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
-from ringwear_par.identification.setting import needs_middle, settings_at
+from ringwear_par.identification.setting import needs_middle, random_wear, settings_at
 
 #: draws at first; points that fill the box of an emulator, and more for each key; draws that have
 #: true histories, a round
@@ -289,7 +289,7 @@ class _Search:
         return Solution(
             readings.problem, posterior, self._draws, self.effective,
             mode(posterior, self._draws, self._density), evidence, evidence_error,
-            np.zeros(len(self._layout.share_places)), self._error, self._step_error,
+            random_wear(readings, np.median(self._x, axis=0))[1], self._error, self._step_error,
             readings.steps, readings.count, readings.failed, readings.reason, weighed,
         )  # fmt: skip
 

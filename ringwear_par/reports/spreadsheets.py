@@ -115,7 +115,7 @@ def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
 
 
 def fit_sheets(folder: Path) -> list[Table]:
-    """Return the tests of a fit's folder with their numbers, the fitted keys, all readings.
+    """Return the fitted keys of a fit's folder, and all readings.
 
     Raises
     ------
@@ -125,10 +125,6 @@ def fit_sheets(folder: Path) -> list[Table]:
         keys = [row for key, entry in outcome["parameters"].items() for row in key_rows(key, entry)]
         rows = [(row.label, row.estimate, row.sd, *row.interval, row.unit, row.verdict, row.note)
                 for row in keys]  # fmt: skip
-        tests = outcome["tests"]
-        names = {name: entry["unit"] for test in tests.values() for name, entry in test.items()}
-        numbers = [(test, *(entries.get(name, {}).get("value") for name in names))
-                   for test, entries in tests.items()]  # fmt: skip
         series = stored_readings(folder / READINGS, float(outcome["level"]))[0]
     header = ("key", "estimate", "sd", "from", "to", "unit", "verdict", "note")
     readings = [
@@ -140,9 +136,4 @@ def fit_sheets(folder: Path) -> list[Table]:
     ]
     columns = ("test", "series", "time (s) or r (mm)", "data", "sd", "model", "sd of model",
                "residual over noise", "unit")  # fmt: skip
-    of_tests = ("test", *(f"{name} of the model ({unit})" for name, unit in names.items()))
-    return [
-        ("tests", of_tests, numbers),
-        ("parameters", header, rows),
-        ("readings", columns, readings),
-    ]  # fmt: skip
+    return [("parameters", header, rows), ("readings", columns, readings)]
