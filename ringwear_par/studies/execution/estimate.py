@@ -7,7 +7,6 @@ from mpi4py import MPI
 
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.compiled.modules import LOOPS
-from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate
@@ -32,7 +31,6 @@ def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
 
     Collective on comm; the same on all ranks. RingwearError where all of these fail.
     """
-    load_kernels(comm)
     return on_first_rank(comm, lambda: _timed(plan))
 
 
@@ -61,7 +59,7 @@ def _timed(plan: Plan) -> str:
     for loops in LOOPS:  # their first time, which compiles, is no step's
         load(loops)
     t0 = time.perf_counter()
-    pair = assemble(first, MPI.COMM_SELF, use_kept=False)  # others may be unknown
+    pair = assemble(first, MPI.COMM_SELF)
     t1 = time.perf_counter()
     resources, reached = PairResources(pair, MPI.COMM_SELF), np.zeros(len(cases))
     recorder = Recorder(cases, MPI.COMM_SELF, stresses=resources.stresses, results=False)

@@ -10,7 +10,6 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
@@ -91,8 +90,6 @@ def results_of(
             results[number] = checked
         else:
             groups[checked].append(number)
-    if groups and any(case.stress is not None for case in cases):
-        load_stress_kernels(comm)
     dealt: list[int] = []  # in turn to all ranks, whatever the groups
     waiting: list[tuple[ContactPair, list[int]]] = []
     for numbers in groups.values():

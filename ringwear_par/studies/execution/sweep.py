@@ -30,7 +30,7 @@ from ringwear_par.studies.execution.batches import block_size
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
-from ringwear_par.studies.execution.pairs import load_kernels_of, pair_of
+from ringwear_par.studies.execution.pairs import pair_of
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
 from ringwear_par.studies.execution.single_cases import is_batchable
 from ringwear_par.studies.execution.summary import Summary, Timings, mark_stopped, trouble_of
@@ -147,7 +147,6 @@ def _sweep(
 def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
-    load_kernels_of(plan, comm)
     timings, begun = Timings(), time.perf_counter()
     left = plan.left
     groups = left if plan.all_assemble else []
