@@ -410,8 +410,8 @@ static inline void add_to_column(double *restrict column, const int64_t *restric
 
 /* Set the integrals over an element for sources that it is far from, by a rule of n points. */
 VERSIONS static void integrate(Tile *tile, Integrals *sums, const Element *e, int count,
-                                         const double *r, const double *z, int n,
-                                         const Rules *rules, double nu)
+                               const double *r, const double *z, int n, const Rules *rules,
+                               double nu)
 {
     const double *t = rules->points + n * MAX_POINTS, *weights = rules->weights + n * MAX_POINTS;
     const int whole = count + (-count & (VECTOR - 1));

@@ -12,7 +12,7 @@ from libc.math cimport sqrt
 from libc.stdint cimport int64_t
 
 cdef extern from "_rings.h" nogil:
-    enum: TILE, ROW, MAX_POINTS, MOST_POINTS, RING_KERNELS, STRESS_KERNELS, OWN
+    enum: TILE, VECTOR, ROW, MAX_POINTS, MOST_POINTS, RING_KERNELS, STRESS_KERNELS, OWN
     ctypedef struct Tile:
         double r[ROW]
         double a[ROW]
@@ -273,7 +273,7 @@ cdef class Assembler(Workspace):
         cdef double z[ROW]
         if count == 0:
             return 0
-        for i in range(ROW):  # the last is repeated, for whole vectors
+        for i in range(count + VECTOR):  # the last is repeated, for whole vectors
             source = self.waiting[n][i if i < count else count - 1]
             r[i], z[i] = self.nodes[source, 0], self.nodes[source, 1]
         integrate(&self.tile, &self.sums, &self.element, count, r, z, n, &self.rules, self.poisson)
@@ -438,32 +438,6 @@ cdef class StressRows(Workspace):
                     self.torsion[row, node] -= s[c] * self.tile.value[18 + row][i]
         self.count = 0
 
-    cdef void add_own_column(self, Py_ssize_t node, const double[:, ::1] nodes,
-                             const double[:, ::1] lines) noexcept:
-        """Subtract the integrals over u*, t* of the nearest node, and add the stress of u*."""
-        # stresses rr = tt of u_r = r where zz is 0, and its strain along z
-        cdef double across = 1.0 / (1.0 - self.poisson), lateral = 2.0 * self.poisson * across
-        cdef double total, axial, r = nodes[node, 0]
-        cdef Py_ssize_t v, e
-        cdef int row
-        for row in range(4):
-            total = axial = 0.0
-            for v in range(self.m):
-                axial += self.normal[row, 2 * v + 1]
-                total += self.normal[row, 2 * v] * nodes[v, 0]
-                total -= self.normal[row, 2 * v + 1] * lateral * (nodes[v, 1] - nodes[node, 1])
-            for e in range(lines.shape[0]):
-                total += across * self.normal[row, 2 * (self.m + e)] * lines[e, 5]
-            self.normal[row, 2 * node + 1] -= axial
-            if r > 0.0:  # on the axis u_r = u_theta = 0: nothing was to be subtracted
-                self.normal[row, 2 * node] += ((across if row < 2 else 0.0) - total) / r
-        for row in range(2):
-            total = 0.0
-            for v in range(self.m):
-                total += self.torsion[row, v] * nodes[v, 0]
-            if r > 0.0:
-                self.torsion[row, node] -= total / r
-
 
 def stress_rows(const double[:, ::1] points, const int64_t[::1] nearest, boundary, double poisson,
                 rules, double[:, :, ::1] normal, double[:, :, ::1] torsion):
@@ -516,5 +490,23 @@ def stress_rows(const double[:, ::1] points, const int64_t[::1] nearest, boundar
                 return -1
             evaluations += added
         rows.add_tile()
-        rows.add_own_column(nearest[p], nodes, lines)
+    _add_own_columns(boundary.nodes, np.asarray(nearest), poisson, np.asarray(lines)[:, 5],
+                     np.asarray(normal), np.asarray(torsion))
     return evaluations
+
+
+def _add_own_columns(nodes, nearest, poisson, radial_normal, normal, torsion):
+    """Subtract the integrals over u*, t* of the nearest nodes, and add the stress of u*."""
+    m, r, z = len(nodes), nodes[nearest, 0], nodes[nearest, 1]
+    # stresses rr = tt of u_r = r where zz is 0, and minus the strain along z
+    across, lateral = 1.0 / (1.0 - poisson), 2.0 * poisson / (1.0 - poisson)
+    star, axial = np.zeros((2, normal.shape[2]))
+    star[: 2 * m : 2], star[1 : 2 * m : 2] = nodes[:, 0], -lateral * nodes[:, 1]
+    star[2 * m :: 2], axial[1 : 2 * m : 2] = across * radial_normal, 1.0
+    along = normal @ axial
+    total = normal @ star + (lateral * z)[:, None] * along
+    inverse = np.divide(1.0, r, where=r > 0.0, out=np.zeros_like(r))[:, None]  # 0 on the axis
+    points = np.arange(len(nearest))
+    normal[points, :, 2 * nearest + 1] -= along
+    normal[points, :, 2 * nearest] += inverse * (across * np.array([1.0, 1.0, 0.0, 0.0]) - total)
+    torsion[points, :, nearest] -= inverse * (torsion[:, :, :m] @ nodes[:, 0])

@@ -13,7 +13,7 @@ PROGRAMS = {".py", ".pyx", ".h", ".c", ".sh", ".sbatch"}
 SLACK = 150
 #: parts of the package, and most lines of them together
 ROOMS = {
-    "elasticity": 4615,
+    "elasticity": 4607,
     "contact compiled": 3959,
     "wear": 2595,
     "history": 4426,
@@ -29,7 +29,7 @@ ROOMS = {
     "parallel.py petsc.py arrays.py batched.py options.py": 422,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 55344, "tests": 19656, "scripts slurm": 936, "docs": 1197}
+FOLDERS = {"ringwear_par": 55336, "tests": 19656, "scripts slurm": 936, "docs": 1197}
 
 
 def sizes(folder):
