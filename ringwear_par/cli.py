@@ -96,10 +96,6 @@ def _run(words: list[str], comm: Any) -> None:
         arguments = parsed(words[:cut])
     function, kind = arguments.pop("load")
     del arguments["command"]
-    if arguments.pop("no_cache"):
-        from ringwear_par.elasticity import pair_cache
-
-        os.environ[pair_cache.VARIABLE] = ""
     if kind == "solves" or words[cut + 1 :]:
         with together(comm):
             start_petsc(words[cut + 1 :])

@@ -109,10 +109,7 @@ def parser() -> argparse.ArgumentParser:
             epilog=f"example:\n  {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        a.set_defaults(load=(function, kind), no_cache=name == "verify")
-        if kind == "solves" and name != "verify":
-            a.flag("--no-cache", "assemble every contact pair, neither read nor write stored ones "
-                   "(their folder: ringwear info)")
+        a.set_defaults(load=(function, kind))
         return a
 
     lines.append("\nsimulate:")

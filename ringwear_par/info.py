@@ -31,7 +31,6 @@ def print_info(comm: "MPI.Comm", schema: Sequence[str] | None = None) -> None:
 
 
 def _print_installation(comm: "MPI.Comm") -> None:
-    from ringwear_par.elasticity import pair_cache
     from ringwear_par.petsc import PETSc
 
     print(f"ringwear-par {__version__} in {os.path.dirname(__file__)}, Python {sys.executable}")
@@ -46,13 +45,6 @@ def _print_installation(comm: "MPI.Comm") -> None:
     rows["petsc scalar"] = f"{PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}"
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
     rows["ranks"] = f"{comm.size} (launcher says: {launched}), cores: {os.cpu_count()}"
-    folder = pair_cache.folder()
-    if folder is None:
-        rows["assembled contact pairs"] = f"not kept ({pair_cache.VARIABLE} is empty)"
-    else:
-        pairs, size = pair_cache.size(folder)
-        most = pair_cache.LIMIT / 1e6
-        rows["assembled contact pairs"] = f"{pairs}, {size / 1e6:.3g} of {most:g} MB, in {folder}"
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         rows[name] = os.environ.get(name, "not set")
     for name, value in rows.items():

@@ -15,7 +15,6 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, RingLayer, Stepping
-from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.bem.body import compliance, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.systems import BoundaryConditions
@@ -165,7 +164,6 @@ CHECKS = (body_checks, sphere_checks, ring_checks)
 
 def verify(comm: MPI.Comm) -> None:
     """Print every check as it is done; ComputationError names failed ones. Collective on comm."""
-    load_kernels(comm)
     started, count, failed = time.perf_counter(), 0, []
 
     def say(*words: str) -> None:

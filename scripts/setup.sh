@@ -1,12 +1,12 @@
 # Sets up what is missing on Debian 12 or 13: Debian's packages, .venv, the package itself: `source scripts/setup.sh`.
-# What is there stays: .venv is made anew only for another folder or Python, pip runs after pyproject.toml has changed.
+# What is there stays: .venv is made anew only for another folder or Python, pip runs after a change of what it builds.
 [ -n "${BASH_VERSION:-}" ] || { echo "ringwear setup: only bash can source this; here: bash scripts/setup.sh && . .venv/bin/activate" >&2; return 1; }
 
 ringwear_setup() {
     local top venv missing="" package install sudo="" numpy="numpy"
     top="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
     venv="$top/.venv"
-    for package in python3-venv python3-petsc4py python3-petsc4py-real python3-mpi4py python3-scipy openmpi-bin libopenblas0-pthread; do
+    for package in python3-venv python3-dev gcc python3-petsc4py python3-petsc4py-real python3-mpi4py python3-scipy openmpi-bin libopenblas0-pthread; do
         dpkg -s "$package" 2> /dev/null | grep -q "^Status: install ok installed" || missing="$missing $package"
     done
     if [ -n "$missing" ]; then
@@ -21,7 +21,7 @@ ringwear_setup() {
         echo "import glob, sys; sys.path += sorted(glob.glob('/usr/lib/petscdir/petsc3*/*-real/lib/python3/dist-packages'))[-1:]" \
             > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/debian-petsc.pth"
     fi
-    if ! [ "$venv/made" -nt "$top/pyproject.toml" ]; then
+    if [ -n "$(find "$top"/{pyproject.toml,setup.py,ringwear_par/elasticity/_rings.{h,pyx}} -newer "$venv/made" 2>&1)" ]; then
         echo "ringwear setup: Python packages into $venv, a minute or two" >&2
         # petsc4py and scipy of Debian 12 are built for numpy 1
         case "$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)')" in 1.*) numpy="numpy<2" ;; esac

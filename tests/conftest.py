@@ -11,8 +11,6 @@ import time
 import commands  # noqa: F401  (keeps the environment before MPI adds to it)
 import pytest
 
-# assembled pairs are not kept, nor found, but in the tests of keeping them
-os.environ["RINGWEAR_CACHE"] = ""
 #: seconds that a rank waits for the others after a test
 PATIENCE = float(os.environ.get("RINGWEAR_TEST_PATIENCE", "120"))
 

@@ -225,7 +225,7 @@ class Readings:
             key = operator_key(case)
             try:
                 if key not in pairs:
-                    pairs[key] = assemble(case, MPI.COMM_SELF, use_kept=False)
+                    pairs[key] = assemble(case, MPI.COMM_SELF)
                 groups[operator_key(tests[entries[i][0]].case)].append(i)
             except ComputationError as error:
                 rows[i] = HistoryError(reason_of(error))
@@ -273,7 +273,7 @@ class Readings:
         (case,) = cases_at(experiment.case, self.problem.keys, values)
         if isinstance(case, HistoryError):
             raise case
-        pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF, use_kept=False)
+        pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF)
         steps = [step_times(experiment, self.steps).tolist()]
         (part,) = computed([case], [pair], results=True, step_times=steps)
         (result,) = part.results()

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.elasticity.bem import rows
-from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
+from ringwear_par.elasticity.bem.body import (
+    boundary_conditions,
+    boundary_responses,
+    compliance,
+    in_case_frame,
+    solve_body,
+)
+from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 
@@ -22,11 +28,15 @@ def condensed(section, mesh, comm, grip="clamped"):
     return compliance(Body(section, 1.0, 0.3, grip), line, mesh, comm)
 
 
-def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypatch):
+def test_a_node_on_another_element_is_an_error_on_all_ranks(comm):
     """Not integrals over parts that are too long, whose error nobody would see."""
-    monkeypatch.setattr(rows, "MAX_PARTS", 2)
+    boundary = boundary_mesh(UPPER, contact_line(CONTACT, Mesh(16), UPPER), Mesh(16))
+    conditions, nodes = boundary_conditions(boundary, "clamped"), boundary.nodes.copy()
+    start, middle, _ = boundary.elements[boundary.outer_side[3]]
+    nodes[boundary.elements[boundary.contact[0], 1]] = 0.3 * nodes[start] + 0.7 * nodes[middle]
+    none = np.empty(0, int)
     with pytest.raises(rw.ComputationError, match="too close"):
-        condensed(UPPER, Mesh(16), comm)
+        solve_body(boundary._replace(nodes=nodes), conditions, 0.3, 1e-8, none, none, comm)
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999, 0.499999999])

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
+from ringwear_par.elasticity._rings import stress_rows
 from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import assemble_pair
+from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
-from ringwear_par.elasticity.stress import rows
 from ringwear_par.elasticity.stress.fields import max_shear, mises, principal
 from ringwear_par.elasticity.stress.largest import Search, edges
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
@@ -75,13 +76,18 @@ def test_linear_fields_are_exact(section):
     assert got[..., 3] == pytest.approx(exact[..., 3], abs=1e-2 * np.abs(exact).max())
 
 
-def test_parts_of_elements_that_run_out_are_an_error(monkeypatch):
+def test_points_on_an_element_have_no_rows():
     """Not integrals over parts that are too long, whose error nobody would see."""
-    section = next(iter(INSIDE))
-    zone, points = exact_zone(section), INSIDE[section]
-    monkeypatch.setattr(rows, "MAX_PARTS", 1)
-    with pytest.raises(rw.ComputationError, match="too close"):
-        at_points(zone, points)
+    boundary = exact_zone(next(iter(INSIDE))).boundary
+    m, k = len(boundary.nodes), len(boundary.elements)
+    points = 0.3 * boundary.nodes[[0]] + 0.7 * boundary.nodes[[1]]
+    normal, torsion = np.empty((1, 4, 2 * (m + k))), np.empty((1, 2, m + k))
+    rules, nearest = quadrature(1e-8), np.array([1])
+    assert stress_rows(points, nearest, boundary, 0.3, rules, normal, torsion) == -1
+    with pytest.raises(ValueError, match="arrays"):
+        stress_rows(points, nearest, boundary, 0.3, rules, normal[..., 1:].copy(), torsion)
+    with pytest.raises(ValueError, match="arrays"):
+        stress_rows(points, np.array([m]), boundary, 0.3, rules, normal, torsion)
 
 
 def test_torsion_converges():

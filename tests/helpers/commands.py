@@ -9,7 +9,7 @@ import sys
 import pytest
 
 #: the environment before MPI adds to it: what a user's shell gives to a command
-SHELL_ENVIRONMENT = {**os.environ, "RINGWEAR_CACHE": ""}
+SHELL_ENVIRONMENT = dict(os.environ)
 RINGWEAR = [sys.executable, "-m", "ringwear_par"]
 NEEDS_MPIRUN = pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
 

@@ -16,10 +16,10 @@ def test_memory_is_that_of_the_systems(comm, n):
     """All that NumPy takes is counted; PETSc's factors and answers are not seen here."""
     case = paper_case(Mesh(n))
     case = replace(case, time=replace(case.time, steps=1))
-    rw.assemble(case, comm, use_kept=False)  # what is loaded once
+    rw.assemble(case, comm)  # what is loaded once
     tracemalloc.start()
     try:
-        rw.assemble(case, comm, use_kept=False)
+        rw.assemble(case, comm)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -9,19 +9,15 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
-from ringwear_par.elasticity.bem.quadrature import Quadrature, quadrature
+from ringwear_par.elasticity._rings import assemble_rows
+from ringwear_par.elasticity.bem.quadrature import Quadrature
 from ringwear_par.elasticity.bem.systems import (
     SYSTEMS,
     Assembly,
-    BoundaryConditions,
     DofMap,
     Rows,
     Zone,
-    number_dofs,
 )
-from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Material, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.parallel import together
 
@@ -30,26 +26,6 @@ TOO_CLOSE = (
     "boundary elements lie too close to each other, or are too long for it, to be integrated over: "
     "thicker layers or bodies, or a milder mesh.grading, are needed"
 )
-
-
-def load_kernels(comm: MPI.Comm) -> None:
-    """Compile the kernels, or load them from the cache of an earlier run. Collective on comm.
-
-    See ``load_compiled``.
-    """
-    from ringwear_par.elasticity.bem.compiling import load_compiled  # numba: not for a known shape
-
-    mesh = Mesh(4)
-    boundary = boundary_mesh(Section((1.0, 2.0), 1.0), contact_line((1.0, 2.0), mesh), mesh)
-    k = len(boundary.elements)
-    free = BoundaryConditions(np.zeros((k, 3), bool), np.full((k, 3), -1), np.zeros((k, 3)), 0)
-    zones = [Zone(boundary, free, Material(1.0, 0.0))]
-    dofs = number_dofs(zones)
-
-    def load() -> None:
-        assemble(zones, dofs, quadrature(0.1), MPI.COMM_SELF)
-
-    load_compiled(comm, load)
 
 
 def assemble(
@@ -71,8 +47,6 @@ def assemble(
     ------
     ComputationError : a node too close to an element that it does not belong to.
     """
-    from ringwear_par.elasticity.bem.rows import MAX_PARTS, assemble_rows
-
     first = np.cumsum([0, *(len(zone.boundary.nodes) for zone in zones)])
     begin, end = (rank * int(first[-1]) // comm.size for rank in (comm.rank, comm.rank + 1))
     # number of the first row of each node in the (r, z) and in the theta system
@@ -101,7 +75,7 @@ def assemble(
             done = assemble_rows(
                 max(begin, start) - start, min(end, stop) - start, zone.boundary, zone.conditions,
                 numbers, zone.material.young, zone.material.poisson, rules, row[:, begin], widths,
-                (arrays[0].T, arrays[1].T), MAX_PARTS,
+                arrays[0].T, arrays[1].T,
             )  # fmt: skip
             if done < 0:
                 raise ComputationError(TOO_CLOSE)

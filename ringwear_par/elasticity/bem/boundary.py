@@ -38,10 +38,7 @@ _RESIDUAL = 1e-3
 
 
 class BoundaryMesh(NamedTuple):
-    """Straight quadratic elements along a zone's boundary, counter-clockwise.
-
-    A named tuple because compiled code reads it.
-    """
+    """Straight quadratic elements along a zone's boundary, counter-clockwise."""
 
     #: (m, 2) float, mm, radius and height of element ends and mid-points
     nodes: FloatArray

@@ -18,22 +18,22 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 
+#: also in ``_rings.h``
 MAX_POINTS = 16
 # the factor before rho^(-2n): the traction kernel has poles of second order
 _SAFETY = 0.02
-_SINGULAR_POINTS = 16
 _SINGULAR_POWER = 5
 
 
 class Quadrature(NamedTuple):
-    """Rules on [0, 1]; a named tuple because compiled code reads it."""
+    """Rules on [0, 1]."""
 
     #: (MAX_POINTS+1,) float, decreasing; n points serve where (d1 + d2)/L >= reach[n]
     reach: FloatArray
     #: (MAX_POINTS+1, MAX_POINTS) float; row n holds the n-point Gauss rule
     points: FloatArray
     weights: FloatArray
-    #: rule for f + g log t, from the source outwards
+    #: (MAX_POINTS,) float, rule for f + g log t, from the source outwards
     singular_points: FloatArray
     singular_weights: FloatArray
 
@@ -50,7 +50,7 @@ def quadrature(tolerance: float) -> Quadrature:
         x, w = np.polynomial.legendre.leggauss(n)
         points[n, :n] = 0.5 * (x + 1.0)
         weights[n, :n] = 0.5 * w
-    x, w = np.polynomial.legendre.leggauss(_SINGULAR_POINTS)
+    x, w = np.polynomial.legendre.leggauss(MAX_POINTS)
     tau = 0.5 * (x + 1.0)
     power = _SINGULAR_POWER
     return Quadrature(reach, points, weights, tau**power, 0.5 * w * power * tau ** (power - 1))

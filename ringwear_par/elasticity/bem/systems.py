@@ -27,10 +27,7 @@ SYSTEMS = slice(0, 2), slice(2, 3)
 
 
 class BoundaryConditions(NamedTuple):
-    """Boundary conditions of every element, for the components r, z and theta.
-
-    A named tuple because compiled code reads it, like ``DofMap``.
-    """
+    """Boundary conditions of every element, for the components r, z and theta."""
 
     #: (k, 3) bool, displacement zero on the element, traction unknown
     fixed: BoolArray

@@ -11,7 +11,6 @@ from mpi4py import MPI
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
-from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.sections import BODIES, Body, BodyName
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
@@ -181,7 +180,6 @@ class StressRecovery:
 
     def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
         """Return the influences of both bodies. Collective on comm."""
-        load_stress_kernels(self._comm)
         zones = [
             [in_case_frame(unit, BODIES[i], self._planes[i]) for unit in units]
             for i, units in enumerate(self._boundaries.responses(shape))
@@ -250,21 +248,3 @@ def _same(first: FloatArray | None, second: FloatArray | None) -> bool:
     if first is None or second is None:
         return first is second
     return bool(np.array_equal(first, second))
-
-
-def load_stress_kernels(comm: MPI.Comm) -> None:
-    """Compile the kernels of stress, or load them from the cache. Collective on comm."""
-    from ringwear_par.elasticity.bem.compiling import load_compiled  # numba: not without need
-    from ringwear_par.elasticity.stress.rows import MAX_PARTS, stress_rows
-
-    nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
-    none = np.empty(0, dtype=np.int64)
-    boundary = BoundaryMesh(nodes, np.array([[0, 1, 2]]), *6 * (none,))
-
-    def load() -> None:
-        stress_rows(
-            np.array([[1.5, 1.0]]), np.array([1]), boundary, 0.3, quadrature(1e-2),
-            np.empty((1, 4, 8)), np.empty((1, 2, 4)), MAX_PARTS,
-        )  # fmt: skip
-
-    load_compiled(comm, load)

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.elasticity._rings import stress_rows
 from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.quadrature import quadrature
@@ -254,9 +255,6 @@ class ZoneStress:
 
     def _add_integrals(self, recipe: _Recipe, normal: FloatArray, torsion: FloatArray) -> None:
         """Add the integrals at samples to the influences of their points."""
-        # numba: not without need
-        from ringwear_par.elasticity.stress.rows import MAX_PARTS, stress_rows
-
         boundary, rules = self.zone.boundary, quadrature(_TOLERANCE)
         samples, count = np.array(recipe.samples), min(_BATCH, len(recipe.samples))
         all_rows = [
@@ -270,7 +268,7 @@ class ZoneStress:
             normal_rows, torsion_rows = (rows[: len(batch)] for rows in all_rows)
             evaluations = stress_rows(
                 batch, nearest, boundary, self.zone.material.poisson, rules,
-                normal_rows, torsion_rows, MAX_PARTS,
+                normal_rows, torsion_rows,
             )  # fmt: skip
             if evaluations < 0:
                 raise ComputationError(
