@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
-from ringwear_par.batched import concat
 from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.problem import ContactInputs, ContactState, WarmStart
 from ringwear_par.errors import ComputationError, HistoriesError
@@ -187,12 +186,6 @@ class CorrectedContacts:
         response = np.where(carrying > 0.0, errors[self._every, worst], np.inf)
         worst = np.where(carrying > 0.0, worst, elements)
         return np.where(too_large, response, largest), np.where(too_large, worst, elements)
-
-    def start_from(self, *before: "CorrectedContacts") -> None:
-        """Start where others would, whose histories follow each other here."""
-        self.warm = concat([contacts.warm for contacts in before])
-        errors, elements = zip(*(contacts.largest_errors for contacts in before), strict=True)
-        self.largest_errors = np.concatenate(errors), np.concatenate(elements)
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories, in ascending order."""

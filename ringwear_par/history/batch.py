@@ -47,18 +47,13 @@ class Batch:
         #: fails; None: there is no try
         self._end: FloatArray | None = None
         self._warm: WarmStart | None = None
-        #: whether a history steps alone until it has made a step, and why its last try failed
-        self._alone, self._failure = False, ""
-
-    @property
-    def may_join(self) -> bool:
-        """Whether the histories may step with others."""
-        return self._present is not None and not self._alone
+        #: of a single history, why its last try failed
+        self._failure = ""
 
     def advance(self) -> list["Batch"]:
         """Make a round; return the batches that go on. Collective.
 
-        Histories in trouble leave: alone, each says why, and tries a shorter step if there is one.
+        Histories in trouble leave, and go on alone: each tries a shorter step, or says why not.
         """
         before, self._warm = self._present, None
         try:
@@ -72,8 +67,8 @@ class Batch:
         if not snapshots:
             return [self]
         self._ensemble.show([snapshot for snapshot in snapshots if snapshot.accepted.any()])
-        if self._alone and snapshots[-1].accepted.all():
-            self._alone, self._failure = False, ""
+        if snapshots[-1].accepted.all():
+            self._failure = ""
         ended = snapshots[-1].finished
         if ended.all():
             self.close()
@@ -84,15 +79,6 @@ class Batch:
             rest = np.flatnonzero(~ended)
             self.numbers, self._present = self.numbers[rest], self._present.keep(rest)
         return [self]
-
-    def joined(self, other: "Batch") -> "Batch":
-        """Return one batch of the histories of both, which end."""
-        batch = Batch(self._ensemble, np.append(self.numbers, other.numbers))
-        assert self._present is not None
-        assert other._present is not None
-        control = self._ensemble.control(batch.numbers)
-        batch._present = self._present.joined(other._present, control)
-        return batch
 
     def close(self) -> None:
         """Free the contacts."""
@@ -220,10 +206,7 @@ class Batch:
                 exc_info=error if expected else None,
             )  # fmt: skip
             parts = list(np.array_split(np.arange(count), 2))
-        batches = self._split(parts)
-        for batch in batches:
-            batch._alone = len(batch.numbers) == 1 or not isinstance(error, HistoriesError)
-        return batches
+        return self._split(parts)
 
     def _tries_shorter(self, error: Exception) -> bool:
         """Tell whether a single history tries a shorter step after an error, and prepare it."""
@@ -236,7 +219,7 @@ class Batch:
         if progress is None:
             return False
         self._present, self._end = replace(present, progress=progress), None
-        self._alone, self._failure = True, str(error)
+        self._failure = str(error)
         return True
 
     def _named(self, error: Exception) -> Exception:

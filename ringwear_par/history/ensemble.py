@@ -140,19 +140,3 @@ class Present:
             batched.take(self.state, histories),
             batched.take(self.progress, histories),
         )
-
-    def joined(self, other: "Present", control: Control) -> "Present":
-        """Return the present of the histories of both, which end; elements stay in all of them."""
-        physics = self.physics.joined(other.physics)
-        contacts = physics.contacts()
-        contacts.start_from(self.contacts, other.contacts)
-        self.contacts.close()
-        other.contacts.close()
-        return Present(
-            control,
-            physics,
-            contacts,
-            None,
-            batched.concat([self.state, other.state]),
-            batched.concat([self.progress, other.progress]),
-        )

@@ -4,11 +4,10 @@
 ``time[n]``, for every scheme.
 
 Each round every history of a batch tries a step as long as its control says. One whose try is
-rejected tries a shorter step in the next round, while the others go on, and one that has ended
-leaves its place to another case. A history ends where its step control says that it is finished, or
-where it reaches a limit of its case (``stop_criteria``); an observer interrupts all of them. Digits
-of a history do not depend on the others. One whose step cannot be made steps alone until it has
-made it, or fails with the reason.
+rejected tries a shorter step in the next round, while the others go on. A history ends where its
+step control says that it is finished, or where it reaches a limit of its case (``stop_criteria``);
+an observer interrupts all of them. Digits of a history do not depend on the others. One whose step
+cannot be made goes on alone, or fails with the reason.
 """
 
 from collections.abc import Sequence
@@ -55,7 +54,6 @@ def simulate(
     pair: ContactPair | Sequence[ContactPair] | None = None,
     start: Start | None = None,
     observers: Sequence[Observer] = (),
-    most_together: int | None = None,
     step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
 ) -> Outcome:
@@ -71,8 +69,6 @@ def simulate(
         first.
     start : where an interrupted history continues, of one case.
     observers : called with all new states, in this order.
-    most_together : histories that step at a time: where half of them have ended, others begin.
-        None: all.
     step_times : s, ends of the steps of each history, its last one that of its case; None: each
         steps as its case says.
     paces : (2, steps) each, with ``step_times``, factors on the rates of wear of lower and upper
@@ -88,17 +84,9 @@ def simulate(
         cases, comm, pair, start, observers, step_times, paces,
         method_of(cases[0].time.scheme),
     )  # fmt: skip
-    batches: list[Batch] = []
-    begun, most = 0, most_together or len(cases)
+    batches = [Batch(ensemble, np.arange(len(cases)))]
     try:
-        while (batches or begun < len(cases)) and not ensemble.interrupted:
-            stepping = sum(len(batch.numbers) for batch in batches)
-            if begun < len(cases) and 2 * stepping <= most:  # half have ended
-                count = min(most - stepping, len(cases) - begun)
-                batches.append(Batch(ensemble, np.arange(begun, begun + count)))
-                begun += count
-            if len(batches) > 1 and all(batch.may_join for batch in batches[-2:]):
-                batches[-2:] = [batches[-2].joined(batches[-1])]
+        while batches and not ensemble.interrupted:
             # the last batch makes a round, alone: what goes on of it, in one or more parts, is last
             batches += batches.pop().advance()
     finally:

@@ -10,11 +10,10 @@ and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear a
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -24,9 +23,9 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactInputs
 from ringwear_par.elasticity.bem.body import BodyCost
-from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.history.elastic.compliances import Compliances, OperatorKey
+from ringwear_par.history.elastic.compliances import Compliances
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral, mean
 from ringwear_par.wear.increment import Closing, WearIncrement
@@ -80,8 +79,6 @@ class Physics:
         cls,
         cases: Sequence[Case],
         pairs: ContactPair | Sequence[ContactPair],
-        *,
-        known: Mapping[OperatorKey, ContactCompliance] = MappingProxyType({}),
     ) -> Self:
         """Return the physics of cases before any wear. Not collective.
 
@@ -90,7 +87,6 @@ class Physics:
         cases : of one shape and mesh, with laws of the same kinds; one alone if its elements follow
             the wear.
         pairs : contact pair of the cases, or one of each.
-        known : compliances that are known already.
 
         Raises
         ------
@@ -102,7 +98,7 @@ class Physics:
         physics = cls(
             inputs,
             pairs,
-            Compliances.of(pairs, cases, known),
+            Compliances.of(pairs, cases),
             ends,
         )
         return physics._along_slopes()
@@ -435,14 +431,6 @@ class Physics:
                 None if ends is None else ends[:, histories] for ends in self.layer_ends
             ),
             gap_offset=None if offset is None else offset[histories],
-        )
-
-    def joined(self, other: "Physics") -> "Physics":
-        """Return the physics of the histories of both."""
-        return Physics.of(
-            (*self.inputs.cases, *other.inputs.cases),
-            (*self.pairs, *other.pairs),
-            known={**self.compliances.known, **other.compliances.known},
         )
 
 

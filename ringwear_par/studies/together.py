@@ -68,7 +68,8 @@ def groups_of(cases: Sequence[Case]) -> list[list[int]]:
     for numbers in groups.values():
         alone = len(numbers) > 1 and not can_share(cases[numbers[0]])
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
-        parts += [[number] for number in numbers] if alone else [numbers]
+        size = 1 if alone else _side_by_side([cases[number] for number in numbers])
+        parts += [numbers[i : i + size] for i in range(0, len(numbers), size)]
     return parts
 
 
@@ -114,7 +115,6 @@ def computed(
         recorder = Recorder(chosen, comm, stresses=stresses, results=results)
         outcome = simulate(
             chosen, comm, pair=[pairs[n] for n in numbers], observers=[recorder],
-            most_together=_side_by_side(chosen),
             step_times=None if step_times is None else [step_times[n] for n in numbers],
             paces=None if paces is None else [paces[n] for n in numbers],
         )  # fmt: skip

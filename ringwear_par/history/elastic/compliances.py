@@ -37,8 +37,6 @@ class Compliances:
 
     #: f references: compliances of pairs and moduli, and those of families
     every: Sequence[ContactCompliance] = field(metadata=along(None))
-    #: references that are no family's, by their keys
-    known: Mapping[OperatorKey, ContactCompliance] = field(metadata=along(None))
     #: families, whose references are the last ones
     families: Sequence[ComplianceFamily] = field(metadata=along(None))
     #: m different compliances, and (m,) int their references
@@ -48,13 +46,8 @@ class Compliances:
     which: IntArray
 
     @classmethod
-    def of(
-        cls,
-        pairs: Sequence[ContactPair],
-        cases: Sequence[Case],
-        known: Mapping[OperatorKey, ContactCompliance],
-    ) -> Self:
-        """Return the compliances of histories; some may be known."""
+    def of(cls, pairs: Sequence[ContactPair], cases: Sequence[Case]) -> Self:
+        """Return the compliances of histories."""
         keys = [key_of(*row) for row in zip(pairs, cases, strict=True)]
         firsts = dict(zip(keys, zip(pairs, cases, strict=True), strict=True))
         families: dict[tuple[int, int], list[OperatorKey]] = defaultdict(list)
@@ -63,7 +56,7 @@ class Compliances:
             if shares_reference(case):
                 families[key[0], family_number(key[1])].append(key)
             else:
-                single[key] = known.get(key) or pair.compliance(key[1])
+                single[key] = pair.compliance(key[1])
         order = [*single, *(key for row in families.values() for key in row)]
         places = {key: place for place, key in enumerate(order)}
         members = {
@@ -90,7 +83,7 @@ class Compliances:
         parts += [family.members(young) for family, young in families.items()]
         reference = np.repeat(np.arange(len(parts)), [len(part.share) for part in parts])
         every = [*single.values(), *(family.reference for family in families)]
-        return cls(every, single, tuple(families), concat(parts), reference, which)
+        return cls(every, tuple(families), concat(parts), reference, which)
 
     @property
     def diagonal(self) -> FloatArray:
