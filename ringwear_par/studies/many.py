@@ -111,7 +111,7 @@ def results_of(
         try:
             parts = computed(
                 [cases[number] for number in good],
-                [pair_of(cases[number], pairs, MPI.COMM_SELF) for number in good],
+                [pair_of(cases[good[0]], pairs, MPI.COMM_SELF)] * len(good) if good else [],
                 results=True,
                 step_times=None if step_times is None else [step_times[n] for n in good],
                 paces=None if paces is None else [paces[n] for n in good],
@@ -130,7 +130,8 @@ def results_of(
         mine = [computed_block(numbers) for numbers in blocks[comm.rank :: comm.size]]
     for i, numbers in enumerate(blocks):  # one by one: all might be too much for a message
         part = mine[i // comm.size] if i % comm.size == comm.rank else None
-        results.update(zip(numbers, comm.bcast(part, i % comm.size), strict=True))
+        part = comm.bcast(part, i % comm.size) if comm.size > 1 else part
+        results.update(zip(numbers, part or (), strict=True))
     return [results[number] for number in range(len(cases))]
 
 
