@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.schema import quantity_label
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
@@ -19,7 +20,6 @@ from ringwear_par.studies.end_values import (
     final_name,
 )
 from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
-from ringwear_par.studies.factors import Factor, raw_words
 from ringwear_par.studies.pictures.effects import (
     Choice,
     choose,
@@ -28,7 +28,7 @@ from ringwear_par.studies.pictures.effects import (
 )
 from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.stored_variables import entry_label
-from ringwear_par.studies.surrogate import Indices, done_cases
+from ringwear_par.studies.surrogate import Indices, done_cases, raw_words
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
@@ -128,9 +128,9 @@ def _ranges(ensemble: Ensemble, cases: Any) -> tuple[page.Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
     for name, column in ensemble.varied.items():
-        values, meaning, (unit, scale) = column[cases], own_key(name).meaning, ensemble.unit(name)
+        values, meaning, unit = column[cases], own_key(name).meaning, ensemble.units[name]
         if column.dtype.kind == "f":
-            known = values[np.isfinite(values)] / scale
+            known = values[np.isfinite(values)]
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
             count = len(np.unique(known))
         else:
@@ -173,7 +173,7 @@ def _effects(ensemble: Ensemble, choice: Choice) -> list[page.Block]:
         page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}")
         for names, panel in effects(ensemble, choice).items()
     ]
-    lines = [choice.counts, *choice.remarks()]
+    lines = [choice.counts, *[choice.remark] * bool(choice.remark)]
     if choice.absence:
         lines.append(f"No surrogate: {choice.absence}")
     return [page.Lines(lines), page.Charts(charts)]
@@ -222,9 +222,8 @@ def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
 
 def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:
     """Return a table of some cases."""
-    keys = [Factor.of(ensemble, name) for name in ensemble.varied]
     displays = {name: display_of(name) for name in ensemble.final}
-    header = ["case", "status", *(key.label for key in keys)]
+    header = ["case", "status", *(quantity_label(*entry) for entry in ensemble.units.items())]
     header += [display.label for display in displays.values()]
     remarks = {
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
@@ -235,8 +234,8 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
     rows = []
     for i in tabulated.tolist():
         values = [
-            raw_words(column[i]) if key.texts else _number(key.values[i] / key.scale)
-            for key, column in zip(keys, ensemble.varied.values(), strict=True)
+            _number(column[i]) if column.dtype.kind == "f" else raw_words(column[i])
+            for column in ensemble.varied.values()
         ]
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
         words = [texts[i] for texts in remarks.values()]

@@ -123,6 +123,13 @@ def own_key(name: str) -> Key:
     return key_of(name) or BY_PATH[path_of(name)]
 
 
+def without_units(name: str, value: Any) -> Any:
+    """Return a raw value of a varied key in the case's units; RejectedError for a wrong unit."""
+    path, entry = split_key(name)
+    part = entry if isinstance(entry, str) and path not in LAYERS else None
+    return own_key(name).without_units(value, part)
+
+
 def is_known(name: str) -> bool:
     """Tell whether there is such a key, or such an entry of layers."""
     return path_of(name) in BY_PATH if layer_entry(name) is None else key_of(name) is not None
