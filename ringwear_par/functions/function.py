@@ -12,6 +12,7 @@ from ringwear_par.cases.case import SAME_TIME, Case, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import seconds
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.functions.inputs import CaseInputs, case_inputs
@@ -94,7 +95,7 @@ def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[O
             continue
         try:
             time = seconds(word) if at and word != "all" else math.inf
-        except ValueError:
+        except (RejectedError, ValueError):
             time = math.nan
         if not time >= 0.0:
             sentence = "behind @ must be all, or a time from 0 on (s, or with its unit)"
