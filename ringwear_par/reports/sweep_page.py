@@ -20,6 +20,7 @@ from ringwear_par.studies.end_values import (
     final_name,
 )
 from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
+from ringwear_par.studies.factors import done_cases, raw_words
 from ringwear_par.studies.pictures.effects import (
     Choice,
     choose,
@@ -28,7 +29,6 @@ from ringwear_par.studies.pictures.effects import (
 )
 from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.stored_variables import entry_label
-from ringwear_par.studies.surrogate import Indices, done_cases, raw_words
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
@@ -55,7 +55,7 @@ def sweep_page(folder: Path) -> page.Page:
         absence = "No Sobol' indices: they need two varied keys, and a good surrogate."
         blocks: list[page.Block] = [page.Lines([absence])]
         if choice.indices:
-            blocks = [_index_charts(choice), *map(_index_table, choice.indices)]
+            blocks = [_index_charts(choice), *_index_tables(choice)]
         sections.append(page.Section("Sensitivity", blocks))
     sections.append(page.Section("Cases", _cases(ensemble)))
     sections.append(_reproduced(ensemble))
@@ -179,14 +179,18 @@ def _effects(ensemble: Ensemble, choice: Choice) -> list[page.Block]:
     return [page.Lines(lines), page.Charts(charts)]
 
 
-def _index_table(indices: Indices) -> page.Table:
-    rows = [
-        (key, f"{first:.3f}", f"{total:.3f}")
-        for key, first, total in zip(indices.keys, indices.first, indices.total, strict=True)
-    ]
-    header = ("key", "first order: by the key alone", "total: with all others")
-    caption = f"Sobol' indices of the {final_name(indices.output)}, from the surrogate"
-    return page.Table(caption, header, rows)
+def _index_tables(choice: Choice) -> list[page.Table]:
+    tables = []
+    for output, indices in choice.indices.items():
+        assert choice.surrogate is not None
+        rows = [
+            (key, f"{first:.3f}", f"{total:.3f}")
+            for key, first, total in zip(choice.surrogate.ranges, *indices, strict=True)
+        ]
+        header = ("key", "first order: by the key alone", "total: with all others")
+        caption = f"Sobol' indices of the {final_name(output)}, from the surrogate"
+        tables.append(page.Table(caption, header, rows))
+    return tables
 
 
 def _cases(ensemble: Ensemble) -> list[page.Block]:

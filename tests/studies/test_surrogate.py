@@ -71,7 +71,7 @@ def test_a_power_law_is_met(tmp_path):
     assert made.predict({"wear.lower.k": 1e-7, "load.pressure": 5})["penetration"].shape == ()
 
 
-@pytest.mark.parametrize(("count", "most"), [(64, 0.15), (256, 0.06), (700, 0.03)])
+@pytest.mark.parametrize(("count", "most"), [(64, 0.15), (700, 0.03)])
 def test_measured_errors_and_deviations_are_those_of_fresh_cases(tmp_path, count, most):
     written(tmp_path, threshold, count, 3)
     made = rw.surrogate(tmp_path)
@@ -162,7 +162,7 @@ def test_texts_are_answered_for(tmp_path):
     for texts in ({"wear.lower.law": "table"}, {}):
         with pytest.raises(rw.InputError, match=r"wear\.lower\.law"):
             made.predict({**at, **texts})
-    law = dict(zip(made.ranges, sobol_indices(made, "penetration").total, strict=True))
+    law = dict(zip(made.ranges, sobol_indices(made, "penetration")[1], strict=True))
     assert law["wear.lower.law"] > 0.1
 
 
@@ -192,9 +192,9 @@ def test_sobol_indices_of_the_function_of_ishigami(tmp_path):
     x = np.pi * (2.0 * u - 1.0)
     depth = np.sin(x[:, 0]) * (1.0 + 0.1 * x[:, 2] ** 4) + 7.0 * np.sin(x[:, 1]) ** 2 + 11.0
     write(tmp_path, KEYS, 1.0 + u, depth, "sobol")
-    indices = sobol_indices(rw.surrogate(tmp_path), "penetration")
-    assert indices.first == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
-    assert indices.total == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.02)
+    first, total = sobol_indices(rw.surrogate(tmp_path), "penetration")
+    assert first == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
+    assert total == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.02)
 
 
 def test_it_is_drawn(tmp_path):
@@ -204,9 +204,9 @@ def test_it_is_drawn(tmp_path):
     assert len(figure.axes) == 1 + 1 + 2 * 2
     bars, along_k, _ = figure.axes[1:4]
     made = rw.surrogate(tmp_path)
-    indices = sobol_indices(made, "penetration")
-    assert [bar.get_width() for bar in bars.containers[0]] == pytest.approx(indices.first)
-    assert [bar.get_width() for bar in bars.containers[1]] == pytest.approx(indices.total)
+    first, total = sobol_indices(made, "penetration")
+    assert [bar.get_width() for bar in bars.containers[0]] == pytest.approx(first)
+    assert [bar.get_width() for bar in bars.containers[1]] == pytest.approx(total)
     mean, points = along_k.lines
     assert points.get_ydata() == pytest.approx(1e3 * ensemble.final["penetration"])
     k, depth = mean.get_data()

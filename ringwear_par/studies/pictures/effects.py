@@ -16,14 +16,12 @@ from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Po
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.studies.end_values import display_of, figure_columns, final_name
 from ringwear_par.studies.ensemble import Ensemble
+from ringwear_par.studies.factors import Factor, done_cases
 from ringwear_par.studies.surrogate import (
     GOOD,
     SEED,
-    Factor,
-    Indices,
     Surrogate,
     chosen_cases,
-    done_cases,
     share_words,
     sobol_indices,
     surrogate,
@@ -58,8 +56,8 @@ class Choice:
     #: None: there is none, for a reason
     surrogate: Surrogate | None
     absence: str
-    #: of the outputs of which the surrogate is good
-    indices: tuple[Indices, ...]
+    #: first-order and total Sobol' indices of its factors, of the outputs of which it is good
+    indices: dict[str, tuple[FloatArray, FloatArray]]
     #: how many cases and keys, in words
     counts: str
     #: errors of the surrogate, in words
@@ -68,7 +66,8 @@ class Choice:
 
 def choose(ensemble: Ensemble) -> Choice:
     """Return the choice of what is drawn of a sweep; refuse one without a case. Not collective."""
-    cases, counts = np.flatnonzero(done_cases(ensemble)), _counts(ensemble)
+    cases, failed = np.flatnonzero(done_cases(ensemble)), ensemble.status.count("failed")
+    counts = counted(len(ensemble.status), "case") + (f", {failed} failed" if failed else "")
     if not len(cases):
         raise InputError(
             f"{ensemble.path}: has no case that is done ({counts}); must have one at least"
@@ -76,40 +75,31 @@ def choose(ensemble: Ensemble) -> Choice:
     outputs = figure_columns(ensemble.final, cases)
     varied = [Factor.of(ensemble, name, cases) for name in ensemble.varied]
     varied = [key for key in varied if key.differs] or varied
-    made, absence, remark, indices = None, "", "", list[Indices]()
+    made, absence, remark = None, "", ""
+    indices: dict[str, tuple[FloatArray, FloatArray]] = {}
+    weights = {key.name: 0.0 for key in varied}
     try:
         complete = [name for name in outputs if np.isfinite(ensemble.final[name][cases]).all()]
         made = surrogate(ensemble, complete)
-    except InputError as error:
-        absence = str(error)
-    if made is not None:
-        indices = [sobol_indices(made, name) for name in made.good if len(made.factors) > 1]
+        indices = {name: sobol_indices(made, name) for name in made.good if len(made.factors) > 1}
         words = (
             f"{display_of(name).name} {share_words(error)}{', not drawn' * (error > GOOD)}"
             for name, error in made.relative_error.items()
             if error
         )
-        remark = (
-            f"surrogate of {len(made.points)} cases; keys vary evenly over their ranges; errors in "
-            f"left-out cases, of the spread: {'; '.join(words)}"
-        )
-    weights = {key.name: 0.0 for key in varied}
-    for each in indices:
-        for name, total in zip(each.keys, each.total.tolist(), strict=True):
-            weights[name] = max(total, weights[name])
+        remark = f"errors of the surrogate in left-out cases, of the spread: {'; '.join(words)}"
+        for _, total in indices.values():
+            for name, weight in zip(made.ranges, total.tolist(), strict=True):
+                weights[name] = max(weight, weights[name])
+    except InputError as error:
+        absence = str(error)
     names = sorted(weights, key=lambda name: -weights[name])[:_MOST_KEYS]
     keys = [key for key in varied if key.name in names]
     if len(keys) < len(varied):
         reason = "of the largest indices" if indices else "the first"
         counts += f"; {len(keys)} of {len(varied)} keys, {reason}"
     grid = ensemble.attributes.get("method") == "grid"
-    return Choice(cases, outputs, varied, keys, grid, made, absence, tuple(indices), counts, remark)
-
-
-def _counts(ensemble: Ensemble) -> str:
-    """Return in words how many cases there are, and how many of them failed."""
-    failed = ensemble.status.count("failed")
-    return counted(len(ensemble.status), "case") + (f", {failed} failed" if failed else "")
+    return Choice(cases, outputs, varied, keys, grid, made, absence, indices, counts, remark)
 
 
 def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
@@ -192,20 +182,20 @@ def value_axis(label: str, values: FloatArray) -> Axis:
 def index_panels(choice: Choice) -> dict[str, Panel]:
     """Return the bars of Sobol' indices by output, of the keys that are drawn."""
     panels = {}
-    for each in choice.indices:
-        rows = [each.keys.index(key.name) for key in choice.keys if key.name in each.keys]
+    for output, (first, total) in choice.indices.items():
+        assert choice.surrogate is not None
+        names = [factor.name for factor in choice.surrogate.factors]
+        rows = [names.index(key.name) for key in choice.keys if key.name in names]
         places = np.arange(len(rows), dtype=float)
         bars = [
-            Bars(places + aside, values[rows], name, colour)
-            for aside, values, name, colour in (
-                (-0.17, each.first, _FIRST, COLOURS[0]), (0.17, each.total, _TOTAL, COLOURS[1]),
-            )
-        ]  # fmt: skip
-        categories = tuple(quantity_name(each.keys[i]) for i in rows)
-        panels[each.output] = Panel(
+            Bars(places - 0.17, first[rows], _FIRST, COLOURS[0]),
+            Bars(places + 0.17, total[rows], _TOTAL, COLOURS[1]),
+        ]
+        categories = tuple(quantity_name(names[row]) for row in rows)
+        x, y = (
             Axis("Sobol' index", ends=(0.0, 1.05)),
             Axis("", categories=categories, reversed=True),
-            f"Sobol' indices of the {final_name(each.output)}", bars=bars,
-            legend=final_name(each.output),
-        )  # fmt: skip
+        )
+        title = f"Sobol' indices of the {final_name(output)}"
+        panels[output] = Panel(x, y, title, bars=bars, legend=final_name(output))
     return panels
