@@ -270,19 +270,6 @@ class Function:
         return ends
 
 
-def _refuse_kinks(case: Case, names: Sequence[str]) -> None:
-    """Refuse inputs on which histories do not depend smoothly: these have no derivatives."""
-    if case.follows_wear:
-        raise InputError(
-            'function: mesh.geometry = "updated": has no derivatives; must be "fixed" with them'
-        )
-    faults: list[str] = []
-    no = "has no derivatives, as the history does not depend on it smoothly"
-    name_unknown_keys("function: inputs", names, list(smooth_keys(case)), faults, no)
-    if faults:
-        raise InputError(*faults)
-
-
 def function(
     case: Case | str | Path | Mapping[str, Any],
     inputs: Sequence[str],
@@ -320,6 +307,14 @@ def function(
     refuse_stop(base, "function", "in a function of a case")
     read = read_outputs(base, outputs, derivatives)
     changed = case_inputs(base, inputs, storing(base, read))
+    if derivatives and base.follows_wear:
+        raise InputError(
+            'function: mesh.geometry = "updated": has no derivatives; must be "fixed" with them'
+        )
+    faults: list[str] = []
     if derivatives:
-        _refuse_kinks(base, inputs)
+        no = "has no derivatives, as the history does not depend on it smoothly"
+        name_unknown_keys("function: inputs", inputs, list(smooth_keys(base)), faults, no)
+    if faults:
+        raise InputError(*faults)
     return Function(changed, read, derivatives)

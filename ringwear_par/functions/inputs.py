@@ -35,12 +35,9 @@ class CaseInputs:
             key = variations.own_key(name)
             ends = (None, None) if key.numbers is None else (key.numbers.low, key.numbers.high)
             bounds = [None if end is None or np.isinf(end) else end for end in ends]
-            unit = unit_under(name, self._laws) or "1"
+            unit = unit_under(name, lambda key: [variations.value_of(self.keys, key)]) or "1"
             schema[name] = {"unit": unit, "bounds": bounds, "meaning": key.meaning, "value": value}
         return schema
-
-    def _laws(self, key: str) -> list[Any]:
-        return [variations.value_of(self.keys, key)]
 
     def case(self, row: Sequence[float]) -> Case | InputError:
         """Return the case with other numbers, or all its faults."""
