@@ -44,24 +44,25 @@ class Output(NamedTuple):
     #: whether of all states
     whole: bool
 
-    @property
-    def meaning(self) -> str:
-        """What it is, in words."""
-        if self.whole:
-            return f"{self.variable.meaning}, at all stored states"
-        when = "last step" if math.isinf(self.time) else f"time {self.time:g} s"
-        return f"{self.variable.meaning}, at the {when}"
+    def of(self, outcomes: Sequence[Result | RingwearError]) -> FloatArray:
+        """Return it of all cases, (cases,) or (cases, states).
 
-    def of(self, result: Result | RingwearError) -> Any:
-        """Return it of a history, a number or (states,); NaN of one that failed."""
-        if not isinstance(result, Result):
-            return np.nan
-        name, times = self.variable.name, np.asarray(result.histories["time"])
-        values = np.asarray((result.histories if name in HISTORIES else result.layers)[name])
-        if self.whole:
-            return values
-        row = int(np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME)))
-        return values[min(row, len(times) - 1)]
+        NaN where a case failed, and behind the last state of a case.
+        """
+        name, rows = self.variable.name, []
+        for result in outcomes:
+            values = np.full(0 if self.whole else 1, np.nan)
+            if isinstance(result, Result):
+                histories = result.histories if name in HISTORIES else result.layers
+                times, values = np.asarray(result.histories["time"]), np.asarray(histories[name])
+                if not self.whole:
+                    row = int(np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME)))
+                    values = values[[min(row, len(times) - 1)]]
+            rows.append(values)
+        table = np.full((len(rows), max(map(len, rows), default=0)), np.nan)
+        for n, values in enumerate(rows):
+            table[n, : len(values)] = values
+        return table if self.whole else table.reshape(len(rows))
 
 
 def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[Output, ...]:
@@ -81,41 +82,28 @@ def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[O
         )
     lower, upper = (bool(ring.layers) for ring in case.rings)
     layer_histories = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
-    variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in layer_histories}
-    if derivatives:
-        variables = {n: v for n, v in HISTORIES.items() if n not in _NOT_SMOOTH}
+    known = HISTORIES | {name: LAYER_HISTORIES[name] for name in layer_histories}
+    smooth = {name: v for name, v in HISTORIES.items() if name not in _NOT_SMOOTH}
+    allowed = smooth if derivatives else known
     outputs: list[Output] = []
     faults: list[str] = []
     for text in texts:
         name, at, word = (part.strip() for part in text.partition("@"))
-        if name not in variables:
-            no = (
-                "has no derivatives" if name in {**HISTORIES, **LAYER_HISTORIES} else "unknown name"
-            )
-            name_unknown_keys("function: outputs", [name], list(variables), faults, no)
+        if name not in allowed:
+            no = "has no derivatives" if name in known else "unknown name"
+            name_unknown_keys("function: outputs", [name], list(allowed), faults, no)
             continue
         try:
-            time = _time(word) if at and word != "all" else math.inf
-        except RejectedError:
-            faults.append(
-                f"function: outputs: {legible(text)}: behind @ must be all, or a time from 0 on "
-                "(s, or with its unit)"
-            )
-            continue
-        outputs.append(Output(text, variables[name], time, word == "all"))
+            time = seconds(word) if at and word != "all" else math.inf
+        except (RejectedError, ValueError):
+            time = math.nan
+        if not time >= 0.0:
+            sentence = "behind @ must be all, or a time from 0 on (s, or with its unit)"
+            faults.append(f"function: outputs: {legible(text)}: {sentence}")
+        outputs.append(Output(text, allowed[name], time, word == "all"))
     if faults:
         raise InputError(*faults)
     return tuple(outputs)
-
-
-def _time(word: str) -> float:
-    try:
-        time = seconds(word)
-    except ValueError as error:
-        raise RejectedError from error
-    if not 0.0 <= time < math.inf:
-        raise RejectedError
-    return time
 
 
 def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
@@ -136,11 +124,8 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
     end = case.time.end * (1.0 + SAME_TIME)
     if late := [o for o in outputs if end < o.time < math.inf]:
         raise InputError(
-            *(
-                f"function: outputs: {legible(o.text)}: {o.time:g} s is after the end of the case; "
-                f"must be <= time.end = {case.time.end:g} (s)"
-                for o in late
-            )
+            f"function: outputs: {legible(late[0].text)}: {late[0].time:g} s is after the end of "
+            f"the case; must be <= time.end = {case.time.end:g} (s)"
         )
     if times:
         times |= {*case.output.times} if field else set()
@@ -182,7 +167,7 @@ class Function:
         Bounds are None where there is none; values are those of the case.
         """
         outputs = {
-            output.text: {"unit": output.variable.unit, "meaning": output.meaning}
+            output.text: {"unit": output.variable.unit, "meaning": output.variable.meaning}
             for output in self._outputs
         }
         return {"inputs": self._inputs.schema(), "outputs": outputs}
@@ -205,7 +190,8 @@ class Function:
 
         Raises
         ------
-        InputError : inputs that are missing, unknown, no numbers or do not broadcast together.
+        InputError : inputs that are missing, unknown or no numbers.
+        ValueError : inputs that do not broadcast together.
         """
         rows, shape = self._inputs.rows(values)
         points = np.reshape(np.array(rows, dtype=float), (len(rows), 1, len(self._inputs.names)))
@@ -214,14 +200,14 @@ class Function:
             moved = points + steps[:, None] * np.eye(points.shape[2])
             points = np.concatenate([points, moved], axis=1)
         count, width, inputs = points.shape
-        cases = [self._case(row) for row in points.reshape(count * width, inputs).tolist()]
+        cases = [self._inputs.case(row) for row in points.reshape(-1, inputs).tolist()]
         ends = self._step_ends(cases, comm, width) if self._derivatives else None
         outcomes = self._outcomes(cases, comm, ends)
         errors = enumerate(outcomes)
         self.errors = {n // width: e for n, e in errors if isinstance(e, RingwearError)}
         outputs, derivatives = {}, {}
         for output in self._outputs:
-            states = _stacked(output, outcomes)
+            states = output.of(outcomes)
             size = (*shape, *states.shape[1:])
             states = states.reshape(count, width, *states.shape[1:])
             outputs[output.text] = states[:, 0].reshape(size)[()]
@@ -241,12 +227,6 @@ class Function:
         most = np.array([np.inf if end is None else end for end in ends])
         return np.where(points + steps > most, -steps, steps)
 
-    def _case(self, row: Sequence[float]) -> Case | InputError:
-        try:
-            return self._inputs.case(row)
-        except InputError as error:
-            return error
-
     def _outcomes(
         self, cases: Sequence[Any], comm: "MPI.Comm | None", ends: Sequence[Any] | None = None
     ) -> list[Result | RingwearError]:
@@ -261,12 +241,12 @@ class Function:
 
         from ringwear_par.studies.many import results_of
 
-        outcomes = list(cases)
-        numbers = [n for n, case in enumerate(cases) if isinstance(case, Case)]
-        step_times = None if ends is None else [ends[n] for n in numbers]
+        good = [n for n, case in enumerate(cases) if isinstance(case, Case)]
+        step_times = None if ends is None else [ends[n] for n in good]
         world = MPI.COMM_WORLD if comm is None else comm
-        results = results_of([outcomes[n] for n in numbers], world, step_times=step_times)
-        for n, result in zip(numbers, results, strict=True):
+        results = results_of([cases[n] for n in good], world, step_times=step_times)
+        outcomes = list(cases)
+        for n, result in zip(good, results, strict=True):
             outcomes[n] = result if isinstance(result, Result) else result.error
         return outcomes
 
@@ -288,33 +268,6 @@ class Function:
                 cases[n * width : (n + 1) * width] = [result] * width
                 ends += [None] * width
         return ends
-
-
-def _stacked(output: Output, outcomes: Sequence[Result | RingwearError]) -> FloatArray:
-    """Return an output of all cases, (cases,) or (cases, states), NaN behind their last states."""
-    values = [output.of(result) for result in outcomes]
-    width = max([(0,) if output.whole else (), *map(np.shape, values)])
-    stacked = np.full((len(values), *width), np.nan)
-    for n, value in enumerate(values):
-        stacked[(n, *map(slice, np.shape(value)))] = value
-    return stacked
-
-
-def _refuse_kinks(case: Case, names: Sequence[str]) -> None:
-    """Refuse inputs on which histories do not depend smoothly: these have no derivatives."""
-    if case.follows_wear:
-        raise InputError(
-            'function: mesh.geometry = "updated": has no derivatives; must be "fixed" with them'
-        )
-    allowed = smooth_keys(case)
-    faults = [
-        f"function: inputs: {legible(name)}: has no derivatives, as the history does not depend on "
-        f"it smoothly; must be one of {', '.join(allowed)}"
-        for name in names
-        if name not in allowed
-    ]
-    if faults:
-        raise InputError(*faults)
 
 
 def function(
@@ -354,6 +307,14 @@ def function(
     refuse_stop(base, "function", "in a function of a case")
     read = read_outputs(base, outputs, derivatives)
     changed = case_inputs(base, inputs, storing(base, read))
+    if derivatives and base.follows_wear:
+        raise InputError(
+            'function: mesh.geometry = "updated": has no derivatives; must be "fixed" with them'
+        )
+    faults: list[str] = []
     if derivatives:
-        _refuse_kinks(base, inputs)
+        no = "has no derivatives, as the history does not depend on it smoothly"
+        name_unknown_keys("function: inputs", inputs, list(smooth_keys(base)), faults, no)
+    if faults:
+        raise InputError(*faults)
     return Function(changed, read, derivatives)

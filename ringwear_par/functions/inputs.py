@@ -1,6 +1,6 @@
 """The inputs of a function: numbers of a case, and the cases that differ in them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,6 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import override, read_keys
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import unit_of, unit_under
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.values import RejectedError, is_number
@@ -36,24 +35,17 @@ class CaseInputs:
             key = variations.own_key(name)
             ends = (None, None) if key.numbers is None else (key.numbers.low, key.numbers.high)
             bounds = [None if end is None or np.isinf(end) else end for end in ends]
-            unit = unit_under(name, self._laws) or "1"
+            unit = unit_under(name, lambda key: [variations.value_of(self.keys, key)]) or "1"
             schema[name] = {"unit": unit, "bounds": bounds, "meaning": key.meaning, "value": value}
         return schema
 
-    def _laws(self, key: str) -> list[Any]:
-        return [variations.value_of(self.keys, key)]
-
-    def case(self, row: Sequence[float]) -> Case:
-        """Return the case with other numbers.
-
-        Raises
-        ------
-        InputError : all its faults.
-        """
-        keys = variations.varied_keys(
-            self.keys, [variations.split_key(name) for name in self.names], row
-        )
-        return make_case(keys, "case")
+    def case(self, row: Sequence[float]) -> Case | InputError:
+        """Return the case with other numbers, or all its faults."""
+        parts = [variations.split_key(name) for name in self.names]
+        try:
+            return make_case(variations.varied_keys(self.keys, parts, row), "case")
+        except InputError as error:
+            return error
 
     def rows(self, values: Mapping[str, Any]) -> tuple[list[tuple[float, ...]], tuple[int, ...]]:
         """Return the numbers of each case, and the shape that all inputs are broadcast to.
@@ -65,55 +57,36 @@ class CaseInputs:
         Raises
         ------
         InputError : all faults but those of single cases.
+        ValueError : arrays that do not broadcast together.
         """
-        try:
-            values = dict(values)  # of a table of pandas its columns
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"function: {shortened(values)}: must be a dict of {', '.join(self.names)}"
-            ) from error
+        values = dict(values)  # of a table of pandas its columns
         faults: list[str] = []
         name_unknown_keys("function", map(str, values), self.names, faults)
         faults += [f"function: {name}: is missing" for name in self.names if name not in values]
-        arrays = [_numbers(name, values[name], faults) for name in self.names if name in values]
         if faults:
             raise InputError(*faults)
-        try:
-            shape = np.broadcast_shapes(*(array.shape for array in arrays))
-        except ValueError as error:
-            sizes = ", ".join(f"{n} {a.shape}" for n, a in zip(self.names, arrays, strict=True))
-            raise InputError(
-                f"function: shapes {sizes}: must be numbers, or arrays that broadcast together"
-            ) from error
-        columns = [np.broadcast_to(array, shape).ravel().tolist() for array in arrays]
-        return list(zip(*columns, strict=True)), shape
+        arrays = np.broadcast_arrays(*(_numbers(name, values[name]) for name in self.names))
+        rows = zip(*(array.ravel().tolist() for array in arrays), strict=True)
+        return list(rows), arrays[0].shape
 
 
-def _numbers(name: str, value: Any, faults: list[str]) -> Any:
-    """Return an input as an array of numbers in the case's unit, and add its faults."""
+def _numbers(name: str, value: Any) -> Any:
+    """Return an input as an array of numbers in the case's unit."""
     raw = np.asarray(value, dtype=object)
     numbers = np.empty(raw.shape, dtype=object)
     for place, entry in np.ndenumerate(raw):
-        entry = entry.item() if isinstance(entry, np.generic) else entry
-        reason = ""
+        entry, reason = entry.item() if isinstance(entry, np.generic) else entry, ""
         try:
-            numbers[place] = _without_unit(name, entry) if isinstance(entry, str) else entry
+            numbers[place] = variations.without_units(name, entry)
         except RejectedError as error:
-            reason = f" ({error})" if str(error) else ""
+            reason = f" ({error})"
         if not is_number(numbers[place]):
             unit = f" ({unit_of(name)})" if unit_of(name) else ""
-            faults.append(
+            raise InputError(
                 f"function: {name} = {shortened(entry)}: must be a number, or an array of "
                 f"numbers{unit}{reason}"
             )
-            break
     return numbers
-
-
-def _without_unit(name: str, text: str) -> Any:
-    path, entry = variations.split_key(name)
-    table = entry if isinstance(entry, str) and path not in LAYERS else None
-    return variations.own_key(name).without_units(text, table)
 
 
 def case_inputs(case: Case, names: Sequence[str], changes: Mapping[str, Any]) -> CaseInputs:
@@ -133,27 +106,20 @@ def case_inputs(case: Case, names: Sequence[str], changes: Mapping[str, Any]) ->
         raise InputError(
             f"function: inputs = {shortened(names)}: must be a list of keys, as ['wear.lower.k']"
         )
-    faults = list(_name_faults(case, keys, names))
+    faults: list[str] = []
+    for name in names:
+        if fault := variations.name_fault(legible(name), name, name):
+            faults.append(f"function: inputs: {fault}")
+        elif not is_number(value := _value(case, keys, name)):
+            state = "is not in it" if value is None else f"= {shortened(value)}"
+            faults.append(f"function: inputs: {name} {state}: must be a number in the case")
     if faults:
-        raise InputError(*(f"function: inputs: {fault}" for fault in faults))
+        raise InputError(*faults)
     values = tuple(float(_value(case, keys, name)) for name in names)
     inputs = CaseInputs(override(keys, changes), tuple(names), values)
-    inputs.case(values)
+    if isinstance(error := inputs.case(values), InputError):
+        raise error
     return inputs
-
-
-def _name_faults(case: Case, keys: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
-    for place, name in enumerate(names):
-        if fault := variations.name_fault(legible(name), name, name):
-            yield fault
-            continue
-        value = _value(case, keys, name)
-        if name in names[:place]:
-            yield f"{name}: must be named once"
-        elif value is None:
-            yield f"{legible(name)}: is not in the case; must be a number of it"
-        elif not is_number(value):
-            yield f"{name} = {shortened(value)}: must be a number in the case"
 
 
 def _value(case: Case, keys: Mapping[str, Any], name: str) -> Any:

@@ -74,13 +74,12 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
     """Return the cases of a sweep, the meanings of their columns, and all histories."""
     columns: dict[str, tuple[str, str, Any]] = {"case": ("", "id of the case", ensemble.ids)}
     for name, values in ensemble.varied.items():
-        unit, scale = ensemble.unit(name)
         numbers = (
-            values / scale
+            values
             if values.dtype.kind == "f"
             else [value.decode() if isinstance(value, bytes) else str(value) for value in values]
         )
-        columns[name] = unit, own_key(name).meaning, numbers
+        columns[name] = ensemble.units[name], own_key(name).meaning, numbers
     columns["status"] = "", "done or failed", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():

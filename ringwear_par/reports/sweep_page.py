@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.schema import quantity_label
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
@@ -19,7 +20,7 @@ from ringwear_par.studies.end_values import (
     final_name,
 )
 from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
-from ringwear_par.studies.factors import Factor, raw_words
+from ringwear_par.studies.factors import done_cases, raw_words
 from ringwear_par.studies.pictures.effects import (
     Choice,
     choose,
@@ -28,7 +29,6 @@ from ringwear_par.studies.pictures.effects import (
 )
 from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.stored_variables import entry_label
-from ringwear_par.studies.surrogate import Indices, done_cases
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
@@ -55,7 +55,7 @@ def sweep_page(folder: Path) -> page.Page:
         absence = "No Sobol' indices: they need two varied keys, and a good surrogate."
         blocks: list[page.Block] = [page.Lines([absence])]
         if choice.indices:
-            blocks = [_index_charts(choice), *map(_index_table, choice.indices)]
+            blocks = [_index_charts(choice), *_index_tables(choice)]
         sections.append(page.Section("Sensitivity", blocks))
     sections.append(page.Section("Cases", _cases(ensemble)))
     sections.append(_reproduced(ensemble))
@@ -128,9 +128,9 @@ def _ranges(ensemble: Ensemble, cases: Any) -> tuple[page.Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
     for name, column in ensemble.varied.items():
-        values, meaning, (unit, scale) = column[cases], own_key(name).meaning, ensemble.unit(name)
+        values, meaning, unit = column[cases], own_key(name).meaning, ensemble.units[name]
         if column.dtype.kind == "f":
-            known = values[np.isfinite(values)] / scale
+            known = values[np.isfinite(values)]
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
             count = len(np.unique(known))
         else:
@@ -173,20 +173,24 @@ def _effects(ensemble: Ensemble, choice: Choice) -> list[page.Block]:
         page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}")
         for names, panel in effects(ensemble, choice).items()
     ]
-    lines = [choice.counts, *choice.remarks()]
+    lines = [choice.counts, *[choice.remark] * bool(choice.remark)]
     if choice.absence:
         lines.append(f"No surrogate: {choice.absence}")
     return [page.Lines(lines), page.Charts(charts)]
 
 
-def _index_table(indices: Indices) -> page.Table:
-    rows = [
-        (key, f"{first:.3f}", f"{total:.3f}")
-        for key, first, total in zip(indices.keys, indices.first, indices.total, strict=True)
-    ]
-    header = ("key", "first order: by the key alone", "total: with all others")
-    caption = f"Sobol' indices of the {final_name(indices.output)}, from the surrogate"
-    return page.Table(caption, header, rows)
+def _index_tables(choice: Choice) -> list[page.Table]:
+    tables = []
+    for output, indices in choice.indices.items():
+        assert choice.surrogate is not None
+        rows = [
+            (key, f"{first:.3f}", f"{total:.3f}")
+            for key, first, total in zip(choice.surrogate.ranges, *indices, strict=True)
+        ]
+        header = ("key", "first order: by the key alone", "total: with all others")
+        caption = f"Sobol' indices of the {final_name(output)}, from the surrogate"
+        tables.append(page.Table(caption, header, rows))
+    return tables
 
 
 def _cases(ensemble: Ensemble) -> list[page.Block]:
@@ -222,9 +226,8 @@ def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
 
 def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:
     """Return a table of some cases."""
-    keys = [Factor.of(ensemble, name) for name in ensemble.varied]
     displays = {name: display_of(name) for name in ensemble.final}
-    header = ["case", "status", *(key.label for key in keys)]
+    header = ["case", "status", *(quantity_label(*entry) for entry in ensemble.units.items())]
     header += [display.label for display in displays.values()]
     remarks = {
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
@@ -235,8 +238,8 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
     rows = []
     for i in tabulated.tolist():
         values = [
-            raw_words(column[i]) if key.texts else _number(key.values[i] / key.scale)
-            for key, column in zip(keys, ensemble.varied.values(), strict=True)
+            _number(column[i]) if column.dtype.kind == "f" else raw_words(column[i])
+            for column in ensemble.varied.values()
         ]
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
         words = [texts[i] for texts in remarks.values()]

@@ -83,14 +83,13 @@ def read_draft(
     boundary = columns.get("output.boundary", Column.of([base.get("output.boundary", "none")]))
     if unknown := [value for value in boundary.distinct if value != "none"]:
         sentence = (
-            f"{name}: output.boundary = {shortened(unknown[0])}: fields on whole boundaries are "
-            'stored by ringwear run only; must be absent from the case, or "output.boundary" = '
-            '{ values = ["none"] } in [vary]'
+            f"{name}: output.boundary = {shortened(unknown[0])}: must be none in a study, if need "
+            'be by "output.boundary" = { values = ["none"] } in [vary]; ringwear run stores it'
         )
         raise InputError(Fault(sentence, "output.boundary", "conflict"))
     if varied := [key for key in columns if key.startswith("stress.")]:
-        sentence = f"{varied[0]}: must not vary; what [stress] asks for is that of the base case"
-        raise InputError(Fault(f"{name}: {sentence}", varied[0], "not_allowed"))
+        sentence = f"{name}: {varied[0]}: must not vary; keys of [stress] are of the base case"
+        raise InputError(Fault(sentence, varied[0], "not_allowed"))
     complete = tuple(  # files are relative to the study
         column.mapped(partial(_in_full, key, folder)) if column.numbers is None else column
         for key, column in columns.items()
@@ -153,23 +152,15 @@ def drawn(
 def listed(table: Path) -> dict[str, Column]:
     """Return the columns of a CSV file: a line of case keys, and one line for each case."""
     lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
-    if len(lines) < 2:
-        raise InputError(f"{table}: has no cases; must be a line of case keys and one line a case")
-    names = [cell.strip() for cell in lines[0]]
-    if ";" in "".join(names):
-        raise InputError(f"{table}: columns must be separated by commas, not ;")
-    faults: list[str] = []
-    for i, name in enumerate(names):
-        place = f"{table}: column {legible(name)}"
-        if fault := name_fault(place, name, name):
-            faults.append(fault)
-        elif name in names[:i]:
-            faults.append(Fault(f"{place}: is there more than once", name, "conflict"))
-    faults += [
+    names = [cell.strip() for cell in lines[0]] if lines else []
+    faults: list[str] = [
         f"{table}: line {number}: has {len(line)} values; must have {len(names)}, as the first line"
         for number, line in enumerate(lines[1:], start=2)
         if len(line) != len(names)
     ]
+    if len(lines) < 2 or len({*names}) < len(names):
+        faults.append(f"{table}: must be a line of case keys, each once, and then one line a case")
+    faults += filter(None, (name_fault(f"{table}: column {legible(n)}", n, n) for n in names))
     if faults:
         raise InputError(*faults)
     return dict(zip(names, map(_parsed, zip(*lines[1:], strict=True)), strict=True))

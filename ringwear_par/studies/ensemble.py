@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.schema import base_unit
-from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_toml
 from ringwear_par.results.hdf5 import reading
 from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
-from ringwear_par.studies.variations import Variation, read_variations
+from ringwear_par.studies.variations import read_variations
 
 if TYPE_CHECKING:
     import xarray
@@ -41,7 +39,7 @@ class Ensemble:
     steps_stored: IntArray
     #: values by varied key, (cases,) float, or str where they are not numbers
     varied: dict[str, Any]
-    #: their units, "1" for none
+    #: their units, "" for none
     units: dict[str, str]
     #: last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored
     final: dict[str, FloatArray]
@@ -53,33 +51,16 @@ class Ensemble:
     @cached_property
     def spacings(self) -> dict[str, tuple[bool, tuple[float, float]]]:
         """Of the keys that the design varies by ranges: whether by logarithms, and the ends."""
-        return {
-            variation.name: (variation.spacing == "log", (variation.values[0], variation.values[1]))
-            for variation in self._variations
-            if variation.spacing != "values"
-        }
-
-    def unit(self, name: str) -> tuple[str, float]:
-        """Return the unit in which the study writes a varied key, and how much it is in the case's.
-
-        That is the case's where it writes none.
-        """
-        written = next((v.unit for v in self._variations if v.name == name), "")
-        if written:
-            return written, factor(written, base_unit(name))
-        return {"1": ""}.get(self.units[name], self.units[name]), 1.0
-
-    @cached_property
-    def _variations(self) -> list[Variation]:
-        """The varied keys of the study, none where it cannot be read."""
         try:
             tables = parse_toml(self.attributes["study"], "study")
-        except (InputError, KeyError, ValueError):
-            return []
-        vary, design = tables.get("vary"), tables.get("design", {})
-        if not isinstance(vary, dict) or not isinstance(design, dict):
-            return []
-        return read_variations("study", vary, str(design.get("method", "grid")), [])
+        except (InputError, KeyError, ValueError):  # of tables in Python
+            return {}
+        vary, design = tables.get("vary", {}), tables.get("design", {})
+        return {
+            variation.name: (variation.spacing == "log", (variation.values[0], variation.values[1]))
+            for variation in read_variations("study", vary, design.get("method", "grid"), [])
+            if variation.spacing != "values"
+        }
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps, ...)."""
@@ -115,7 +96,7 @@ def read_ensemble(folder: Path) -> Ensemble:
         return Ensemble(
             path, ids, status, error, file["seconds"][:], stored,
             {key.name[1:]: key[:] if key.dtype.kind == "f" else key.asstr()[:] for key in varied},
-            {key.name[1:]: key.attrs["units"] for key in varied},
+            {key.name[1:]: {"1": ""}.get(key.attrs["units"], key.attrs["units"]) for key in varied},
             final, attributes, tuple(map(split_flags, flags)),
         )  # fmt: skip
 

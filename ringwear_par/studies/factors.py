@@ -1,12 +1,12 @@
 """Factors: the varied keys of a sweep's cases, as surrogates and pictures need them."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_label
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_value, shortened, toml_value
@@ -15,8 +15,11 @@ from ringwear_par.studies.ensemble import Ensemble
 
 #: a key without a range in the study goes by its logarithm if uneven values span so large a ratio
 _LOG_KEY = 20.0
-#: ends of a key's range in the study count as covered with a case so near, as a part of the range
-_NEAR = 0.1
+
+
+def done_cases(ensemble: Ensemble) -> BoolArray:
+    """Return whether each case is done."""
+    return np.array(ensemble.status) == "done"
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,8 @@ class Factor:
 
     #: of the key
     name: str
-    #: (cases,) numbers in the case's unit, NaN where there is none, or numbers of texts
+    unit: str
+    #: (cases,) numbers in the case's unit, or numbers of texts
     values: FloatArray
     #: the texts of a key that is no number
     texts: tuple[str, ...] = ()
@@ -33,31 +37,20 @@ class Factor:
     low: float = math.nan
     high: float = math.nan
     logarithmic: bool = False
-    #: in which the study writes its values, "" for none, and how much it is in the case's
-    unit: str = ""
-    scale: float = 1.0
 
     @classmethod
-    def of(cls, ensemble: Ensemble, name: str, cases: IntArray | slice = slice(None)) -> "Factor":
-        """Return a varied key of some cases, with the study's range and spacing if it has one."""
-        column = ensemble.varied[name][cases]
+    def of(cls, ensemble: Ensemble, name: str, cases: IntArray) -> "Factor":
+        """Return a varied key of cases that are done, with the study's range if all are."""
+        column, unit = ensemble.varied[name][cases], ensemble.units[name]
         if column.dtype.kind != "f":
-            texts = tuple(dict.fromkeys(map(str, column)))
-            return cls(name, np.array([float(texts.index(str(text))) for text in column]), texts)
-        known = column[np.isfinite(column)]
-        if not len(known):
-            return cls(name, column)
-        low, high = float(known.min()), float(known.max())
-        uneven = bool(np.median(known) < 0.3 * (low + high) and high >= _LOG_KEY * low)
+            texts = tuple(dict.fromkeys(map(str, ensemble.varied[name][done_cases(ensemble)])))
+            return cls(name, unit, np.array([float(texts.index(str(t))) for t in column]), texts)
+        low, high = float(column.min()), float(column.max())
+        uneven = bool(np.median(column) < 0.3 * (low + high) and high >= _LOG_KEY * low)
         by_log, ends = ensemble.spacings.get(name, (uneven, (low, high)))
-        factor = cls(name, column, (), low, high, by_log and low > 0.0, *ensemble.unit(name))
-        if low == high:
-            return factor
-        first, last = factor.coordinates(np.array(ends))[:, 0]
-        return replace(
-            factor, low=ends[0] if -_NEAR <= first <= 0.0 else low,
-            high=ends[1] if 1.0 <= last <= 1.0 + _NEAR else high,
-        )  # fmt: skip
+        if low < high and done_cases(ensemble).all():
+            low, high = ends
+        return cls(name, unit, column, (), low, high, by_log and low > 0.0)
 
     @property
     def label(self) -> str:
@@ -68,9 +61,8 @@ class Factor:
     def categories(self) -> tuple[str, ...]:
         """The texts in few words, numbered where these would be the same."""
         words = [raw_words(text) for text in self.texts]
-        if len(set(words)) < len(words):
-            words = [f"{word} ({number})" for number, word in enumerate(words, 1)]
-        return tuple(words)
+        same = len(set(words)) < len(words)
+        return tuple(f"{word} ({n})" if same else word for n, word in enumerate(words, 1))
 
     @property
     def differs(self) -> bool:
@@ -81,10 +73,10 @@ class Factor:
         """Return the value in each case, as short as its values stay apart."""
         if self.texts:
             return [self.categories[int(number)] for number in self.values]
-        values = self.values / self.scale
+        words, count = list[str](), len(np.unique(self.values))
         for digits in range(3, 18):
-            words = [number_text(v, digits) if math.isfinite(v) else "none" for v in values]
-            if len(set(words)) >= len(np.unique(values)):
+            words = [number_text(value, digits) for value in self.values]
+            if len(set(words)) == count:
                 break
         return words
 
@@ -107,21 +99,17 @@ class Factor:
     def read(self, value: Any) -> FloatArray:
         """Return a value as ``values`` has it, or an array; InputError for what no case has."""
         if self.texts:
-            text = value if isinstance(value, str) else "" if value is None else toml_value(value)
+            text = value if isinstance(value, str) else toml_value(value)
             if text in self.texts:
                 return np.array(float(self.texts.index(text)))
-            words = ", ".join(map(shortened, self.texts))
-            raise InputError(f"surrogate: {self.name} = {shortened(text)}: must be one of {words}")
-        words = f"must be from {self.low:.9g} to {self.high:.9g}, as in the study's cases"
-        try:
+            rule = f"one of {', '.join(map(shortened, self.texts))}"
+        else:
             numbers = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"surrogate: {self.name} = {shortened(value)}: {words}") from None
-        slack = 1e-9 * max(abs(self.low), abs(self.high))
-        outside = numbers[~((numbers >= self.low - slack) & (numbers <= self.high + slack))]
-        if outside.size:
-            raise InputError(f"surrogate: {self.name} = {outside.flat[0]:.9g}: {words}")
-        return np.clip(numbers, self.low, self.high)
+            slack = 1e-9 * max(abs(self.low), abs(self.high))
+            if ((numbers >= self.low - slack) & (numbers <= self.high + slack)).all():
+                return np.clip(numbers, self.low, self.high)
+            rule = f"from {self.low:.9g} to {self.high:.9g}, as in the study's cases"
+        raise InputError(f"surrogate: {self.name} = {shortened(value)}: must be {rule}")
 
 
 def raw_words(text: str) -> str:

@@ -4,14 +4,14 @@ scikit-learn finds a length of each key (Matern 5/2) for a response, its square 
 logarithm; the form with the smallest error in left-out cases is taken. That error follows from one
 inverse, without other fits (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes for Machine
 Learning", 2006, section 5.4.2). Single cases that are left out of a grid say nothing about what
-lies between the values of a key: whole values of a key are left out, too.
+lies between the values of a key: there all cases of a value are left out together, too.
 """
 
 import logging
 import math
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.results.variables import LAYER_HISTORIES
 from ringwear_par.studies.end_values import end_value_of
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.factors import Factor
+from ringwear_par.studies.factors import Factor, done_cases
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +54,9 @@ _FORMS: dict[str, tuple[Any, Any]] = {
 }
 
 
+# -- responses -------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Response:
     """A response as a Gaussian process of its form."""
@@ -69,35 +72,109 @@ class Response:
     #: between which it can be
     limits: tuple[float, float]
     #: root mean square of errors in left-out cases: in the response's unit, and of the form
-    error: float = 0.0
-    form_error: float = 0.0
+    error: float
+    form_error: float
 
     @property
     def relative_error(self) -> float:
         """The error as a part of the spread, 0 where nothing varies."""
         return self.error / self.spread if self.spread else 0.0
 
-    def back(self, table: FloatArray) -> FloatArray:
-        """Return the response from values of its form."""
-        return np.clip(_FORMS[self.form][1](table), *self.limits)
-
     def shifted(self, values: FloatArray, errors: float) -> FloatArray:
         """Return values of the response, shifted by a number of errors of its form."""
-        return self.back(_FORMS[self.form][0](values) + errors * self.form_error)
+        function, back = _FORMS[self.form]
+        return np.clip(back(function(values) + errors * self.form_error), *self.limits)
 
     def at(self, points: FloatArray, *, deviations: bool = False) -> FloatArray:
         """Return values, or standard deviations, (points, columns) at points.
 
         A standard deviation is half of what lies between one of the form below and above.
         """
-        parts = []
+        back, parts = _FORMS[self.form][1], []
         for chunk in np.array_split(points, 1 + len(points) // _CHUNK):
             if deviations:
                 mean, width = self.process.predict(chunk, return_std=True)
-                parts.append(0.5 * (self.back(mean + width) - self.back(mean - width)))
+                low, high = (np.clip(back(mean + s * width), *self.limits) for s in (-1.0, 1.0))
+                parts.append(0.5 * (high - low))
             else:
-                parts.append(self.back(self.process.predict(chunk)))
+                parts.append(np.clip(back(self.process.predict(chunk)), *self.limits))
         return np.concatenate(parts).reshape(len(points), math.prod(self.shape))
+
+
+def fit_response(
+    name: str, values: FloatArray, points: FloatArray, columns: Sequence[FloatArray]
+) -> Response:
+    """Return the response (cases, ...) at points, in the form with the smallest error.
+
+    Parameters
+    ----------
+    columns : see ``_errors``.
+    """
+    flat = values.reshape(len(values), -1)
+    low, shape = float(flat.min()), values.shape[1:]
+    limits = 0.0 if low >= 0.0 else -math.inf, 1.0 if name in LAYER_HISTORIES else math.inf
+    spread = _rms(flat - flat.mean(axis=0))
+    if spread <= 1e-12 * float(np.abs(flat).max()):
+        return Response("itself", _process(points, flat, False), 0.0, shape, limits, 0.0, 0.0)
+    forms = ["itself", *["square root"] * (low >= 0.0), *["logarithm"] * (low > 0.0)]
+    responses = []
+    for form in forms:
+        function, back = _FORMS[form]
+        table = function(flat)
+        process = _process(points, table, True)
+        errors = max(
+            (share * _rms(np.clip(back(table[rows] - wrong), *limits) - flat[rows]),
+             share * _rms(wrong))
+            for rows, share, wrong in _errors(process, table, columns)
+        )  # fmt: skip
+        responses.append(Response(form, process, spread, shape, limits, *errors))
+    return min(responses, key=lambda response: response.error)
+
+
+def _process(points: FloatArray, table: FloatArray, varies: bool) -> Any:
+    """Return the Gaussian process through a table, its lengths found from some of the cases."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+    lengths = Matern(np.ones(points.shape[1]), (0.05, 100.0), nu=2.5)
+    noise = WhiteKernel(1e-8, (1e-9, 1e-2))  # less and a kernel may not be positive definite
+    kernel = ConstantKernel(1.0, (1e-3, 1e3)) * lengths + noise
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a length at its bound is that of a key without influence
+        if varies:
+            some = chosen_cases(np.arange(len(points)), _MOST_FITTED)
+            fitted = GaussianProcessRegressor(kernel, normalize_y=True)
+            kernel = fitted.fit(points[some], table[some]).kernel_
+        process = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True)
+        return process.fit(points, table)
+
+
+def _errors(
+    process: Any, table: FloatArray, columns: Sequence[FloatArray]
+) -> Iterator[tuple[BoolArray, float, FloatArray]]:
+    """Yield cases that have been left out, the share that their errors count, the errors.
+
+    Parameters
+    ----------
+    columns : (cases,) each; cases of the same value are left out together, but for the first and
+        the last value, beyond which there is nothing.
+    """
+    inverse = np.linalg.inv(process.L_ @ process.L_.T)
+    weights = process.alpha_.reshape(len(table), -1) * table.std(axis=0)
+    for column in columns:
+        values, wrong = np.unique(column), np.zeros_like(weights)
+        for value in values[1:-1]:
+            out = column == value
+            wrong[out] = np.linalg.solve(inverse[np.ix_(out, out)], weights[out])
+        rows = (column > values[0]) & (column < values[-1])
+        yield rows, 1.0 if len(values) == len(column) else _GAP, wrong[rows]
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# -- surrogates ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -110,11 +187,6 @@ class Surrogate:
     points: FloatArray
     #: by name
     responses: dict[str, Response]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the responses."""
-        return tuple(self.responses)
 
     @property
     def error(self) -> dict[str, float]:
@@ -137,16 +209,14 @@ class Surrogate:
         return {factor.name: factor.texts or (factor.low, factor.high) for factor in self.factors}
 
     def predict(
-        self, values: Mapping[str, Any], names: Sequence[str] | None = None,
-        *, deviations: bool = False,
-    ) -> dict[str, FloatArray]:  # fmt: skip
-        """Return responses by name.
+        self, values: Mapping[str, Any], *, deviations: bool = False
+    ) -> dict[str, FloatArray]:
+        """Return all responses by name.
 
         Parameters
         ----------
         values : of every varied key: numbers or arrays, which go together as numpy's do; a text for
             a key that is no number.
-        names : of the responses; None for all.
         deviations : return their standard deviations instead.
 
         Returns
@@ -156,31 +226,21 @@ class Surrogate:
         Raises
         ------
         InputError : a value outside the range of the study's cases, a key that is missing or not
-            varied, an unknown response.
+            varied.
         """
-        wanted = self.names if names is None else tuple(names)
-        for name in wanted:
-            if name not in self.responses:
-                raise InputError(
-                    f"surrogate: {legible(str(name))}: unknown response; must be one of "
-                    f"{', '.join(self.names)}"
-                )
-        known = ", ".join(self.ranges)
-        for key in {**values, **self.ranges}:
-            if key not in self.ranges or key not in values:
-                reason = "is missing" if key in self.ranges else "is not varied"
-                raise InputError(f"surrogate: {legible(str(key))}: {reason}; keys: {known}")
-        try:
-            columns = np.broadcast_arrays(*(f.read(values[f.name]) for f in self.factors))
-        except ValueError as error:
-            raise InputError(f"surrogate: arrays that do not go together: {error}") from None
+        if wrong := values.keys() ^ self.ranges.keys():
+            raise InputError(
+                f"surrogate: {', '.join(sorted(map(legible, wrong)))}: keys must be those that "
+                f"vary, {', '.join(self.ranges)}"
+            )
+        columns = np.broadcast_arrays(*(f.read(values[f.name]) for f in self.factors))
         points = self._points([column.ravel() for column in columns])
-        answers = {}
-        for name in wanted:
-            response = self.responses[name]
-            table = response.at(points, deviations=deviations)
-            answers[name] = table.reshape((*columns[0].shape, *response.shape))
-        return answers
+        return {
+            name: response.at(points, deviations=deviations).reshape(
+                (*columns[0].shape, *response.shape)
+            )
+            for name, response in self.responses.items()
+        }
 
     def _points(self, columns: Sequence[Any]) -> FloatArray:
         """Return points from the values of each factor."""
@@ -205,10 +265,10 @@ class Surrogate:
         return self.factors[i].at(shares), values.reshape(len(shares), -1).mean(axis=1)
 
     def __repr__(self) -> str:
-        shares = {n: share_words(e) for n, e in self.relative_error.items() if e}
+        shares = (f"{n} {share_words(e)}" for n, e in self.relative_error.items() if e)
         return (
             f"<Surrogate of {len(self.points)} cases over {', '.join(self.ranges)}; errors in "
-            f"left-out cases, of the spread: {', '.join(f'{n} {e}' for n, e in shares.items())}>"
+            f"left-out cases, of the spread: {', '.join(shares)}>"
         )
 
 
@@ -217,21 +277,8 @@ def share_words(relative_error: float) -> str:
     return f"{100.0 * relative_error:.2g} %"
 
 
-@dataclass(frozen=True)
-class Indices:
-    """Sobol' indices of an output."""
-
-    #: name of a final value
-    output: str
-    #: what varies
-    keys: tuple[str, ...]
-    #: (keys,) share of the variance by each alone, and by each with all others
-    first: FloatArray
-    total: FloatArray
-
-
-def sobol_indices(made: Surrogate, name: str) -> Indices:
-    """Return the Sobol' indices of a response that is a number.
+def sobol_indices(made: Surrogate, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return the first-order and total Sobol' indices, (factors,), of a response that is a number.
 
     Keys vary evenly, or their logarithms where they go by them, and independently of each other,
     whatever the design was (estimators: A. Saltelli et al., Computer Physics Communications 181
@@ -247,7 +294,7 @@ def sobol_indices(made: Surrogate, name: str) -> Indices:
     variance = np.var(np.concatenate([of_one, of_other]))
     first = np.mean((of_other - of_other.mean()) * change, axis=1) / variance
     total = 0.5 * np.mean(change**2, axis=1) / variance
-    return Indices(name, tuple(made.ranges), first, total)
+    return first, total
 
 
 def surrogate(
@@ -256,9 +303,8 @@ def surrogate(
 ) -> Surrogate:
     """Return a surrogate of a sweep's responses over its varied keys. Not collective.
 
-    Cases that are not done, or have no number for a varied key, are left out; of many, 500 are
-    chosen at random. Ranges are those of each key alone: where keys of a list vary together, errors
-    far from all cases are unknown.
+    Of many cases that are done 500 are chosen at random. Ranges are those of each key alone: where
+    keys of a list vary together, errors far from all cases are unknown.
 
     Parameters
     ----------
@@ -287,29 +333,23 @@ def surrogate(
     if responses is None:
         finite = (n for n, v in final.items() if np.isfinite(v[cases]).all())
         responses = [name for name in finite if end_value_of(name)[0].smooth]
-    given = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
-    numbers, fitted = sum(not factor.texts for factor in factors), {}
-    for name, values in given.items():
+    arrays = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
+    numbers = points[:, : sum(not factor.texts for factor in factors)]
+    columns = [np.arange(len(cases), dtype=float)]  # whose values are single cases
+    columns += [c for c in np.round(numbers, _DIGITS).T if 2 < len(np.unique(c)) <= 0.5 * len(c)]
+    fitted = {}
+    for name, values in arrays.items():
         array = np.asarray(values, dtype=float)
-        if array.shape[:1] != done_cases(ensemble).shape or not np.isfinite(array[cases]).all():
+        if array.shape[:1] != (len(ensemble.ids),) or not np.isfinite(array[cases]).all():
             raise InputError(
                 f"surrogate: {legible(str(name))}: must be the name of a final value, or an array "
                 f"({len(ensemble.ids)}, ...), finite in all cases that are done"
             )
-        fitted[name] = fit_response(points, numbers, name, array[cases])
+        fitted[name] = fit_response(name, array[cases], points, columns)
     made = Surrogate(factors, points, fitted)
-    coarse = [f"{n} {share_words(e)}" for n, e in made.relative_error.items() if e > GOOD]
-    if coarse:
-        log.warning(
-            "surrogate: errors in left-out cases, of the spread, which more cases would make "
-            "smaller: %s", "; ".join(coarse),
-        )  # fmt: skip
+    if max(made.relative_error.values(), default=0.0) > GOOD:
+        log.warning("more cases would make errors smaller: %r", made)
     return made
-
-
-def done_cases(ensemble: Ensemble) -> BoolArray:
-    """Return whether each case is done."""
-    return np.array(ensemble.status) == "done"
 
 
 def chosen_cases(cases: IntArray, most: int) -> IntArray:
@@ -321,104 +361,20 @@ def chosen_cases(cases: IntArray, most: int) -> IntArray:
 
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:
     """Return what varies, numbers first, the points of the cases to be interpolated, the cases."""
-    rows = done_cases(ensemble)
-    numbers = [values for values in ensemble.varied.values() if values.dtype.kind == "f"]
-    for values in numbers:
-        rows &= np.isfinite(values) | ~np.isfinite(values[rows]).any()
-    cases = chosen_cases(np.flatnonzero(rows), _MOST)
-    factors = [Factor.of(ensemble, name, cases) for name in ensemble.varied]
-    factors = [factor for factor in factors if factor.differs]
-    factors.sort(key=lambda factor: bool(factor.texts))
+    cases = chosen_cases(np.flatnonzero(done_cases(ensemble)), _MOST)
+    every = [Factor.of(ensemble, name, cases) for name in ensemble.varied] if len(cases) else []
+    factors = sorted((f for f in every if f.differs), key=lambda factor: bool(factor.texts))
     needed = 4 * (1 + sum(max(1, len(factor.texts)) for factor in factors))
-    if factors and len(cases) >= needed:
-        points = np.hstack([factor.coordinates(factor.values) for factor in factors])
-        first = np.sort(np.unique(np.round(points, _DIGITS), axis=0, return_index=True)[1])
-        points, cases = points[first], cases[first]
-    if not factors or len(cases) < needed or factors[0].texts:
+    points = np.hstack([np.empty((len(cases), 0)), *(f.coordinates(f.values) for f in factors)])
+    first = np.sort(np.unique(np.round(points, _DIGITS), axis=0, return_index=True)[1])
+    points, cases = points[first], cases[first]
+    numbers = points[:, : sum(not factor.texts for factor in factors)]
+    rank = np.linalg.matrix_rank(numbers - numbers.mean(axis=0), tol=1e-6) if len(cases) else 0
+    if len(cases) < needed or not rank or rank < numbers.shape[1]:
+        keys = ", ".join(factor.name for factor in factors) or "none"
         raise InputError(
-            f"{ensemble.path}: {len(cases)} cases are done and differ, in {len(factors)} keys; a "
-            f"surrogate needs a key that is a number, and {needed} cases at least"
-        )
-    plain = points[:, : sum(not factor.texts for factor in factors)]
-    if np.linalg.matrix_rank(plain - plain.mean(axis=0), tol=1e-6) < plain.shape[1]:
-        keys = ", ".join(factor.name for factor in factors if not factor.texts)
-        raise InputError(
-            f"{ensemble.path}: {keys} vary together, or nearly so; a surrogate needs cases in "
-            "which each varies by itself"
+            f"{ensemble.path}: {len(cases)} cases are done and differ, in keys: {keys}; a "
+            f"surrogate needs {needed} cases at least, and a key that is a number, no two of which "
+            "vary together"
         )
     return tuple(factors), points, cases
-
-
-def fit_response(points: FloatArray, numbers: int, name: str, values: FloatArray) -> Response:
-    """Return the response (cases, ...) at points, in the form with the smallest error.
-
-    The first ``numbers`` coordinates are those of keys that are numbers.
-    """
-    flat = values.reshape(len(values), -1)
-    low = float(flat.min())
-    limits = 0.0 if low >= 0.0 else -math.inf, 1.0 if name in LAYER_HISTORIES else math.inf
-    spread = _rms(flat - flat.mean(axis=0))
-    varies = spread > 1e-12 * float(np.abs(flat).max())
-    possible = {
-        "itself": True,
-        "square root": varies and low >= 0.0,
-        "logarithm": varies and low > 0.0,
-    }
-    responses = []
-    for form in (form for form in _FORMS if possible[form]):
-        process = _process(points, _FORMS[form][0](flat), varies)
-        response = Response(form, process, varies * spread, values.shape[1:], limits)
-        responses.append(_measured(response, points[:, :numbers], flat))
-    return min(responses, key=lambda response: response.error)
-
-
-def _process(points: FloatArray, table: FloatArray, varies: bool) -> Any:
-    """Return the Gaussian process through a table, its lengths found from some of the cases."""
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
-
-    lengths = Matern(np.ones(points.shape[1]), (0.05, 100.0), nu=2.5)
-    kernel = ConstantKernel(1.0) * lengths + WhiteKernel(1e-8, (1e-12, 1e-2))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a length at its bound is that of a key without influence
-        if varies:
-            some = chosen_cases(np.arange(len(points)), _MOST_FITTED)
-            found = GaussianProcessRegressor(kernel, normalize_y=True).fit(
-                points[some], table[some]
-            )
-            kernel = found.kernel_
-        process = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True)
-        return process.fit(points, table)
-
-
-def _measured(response: Response, numbers: FloatArray, flat: FloatArray) -> Response:
-    """Return a response with its errors: the largest of those of single cases and of values.
-
-    Parameters
-    ----------
-    numbers : (cases, keys) coordinates of the keys that are numbers.
-    flat : (cases, columns) the response.
-    """
-    process, table = response.process, _FORMS[response.form][0](flat)
-    inverse = np.linalg.inv(process.L_ @ process.L_.T)
-    weights = process.alpha_.reshape(len(flat), -1) * table.std(axis=0)
-    left_out = [(1.0, np.full(len(flat), True), weights / np.diag(inverse)[:, None])]
-    for column in np.round(numbers, _DIGITS).T:
-        values = np.unique(column)
-        inner = (column > values[0]) & (column < values[-1])
-        if 2 < len(values) <= 0.5 * len(column):
-            wrong = np.zeros_like(weights)
-            for value in values[1:-1]:
-                out = column == value
-                wrong[out] = np.linalg.solve(inverse[np.ix_(out, out)], weights[out])
-            left_out.append((_GAP, inner, wrong[inner]))
-    errors = [
-        (share * _rms(response.back(table[rows] - wrong) - flat[rows]), share * _rms(wrong))
-        for share, rows, wrong in left_out
-    ]
-    error, form_error = np.max(errors, axis=0).tolist()
-    return replace(response, error=error, form_error=form_error)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -13,18 +13,18 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import override
 from ringwear_par.cases.layers import LAYERS, entries_of
-from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
+from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
 from ringwear_par.cases.tables import Key
-from ringwear_par.cases.units import factor, has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import Fault, legible
 from ringwear_par.files.text import shortened, toml_value
 
 #: most cases of a design
 MOST_CASES = 10**6
-_FORMS = (
-    "must be { values = [...] }, { linear = [low, high], count = n } or "
-    "{ log = [low, high], count = n }"
+_RULE = (
+    "must be { values = [...] }, { linear = [low, high] } or { log = [low, high] }, increasing "
+    f"numbers, > 0 for log; a range has a count from 2 to {MOST_CASES} in a grid, and in no other "
+    "design"
 )
 #: an entry of a pair, or of a table, in the name of a varied key
 _PAIR = re.compile(r"(.+)\[([01])\]")
@@ -123,24 +123,24 @@ def own_key(name: str) -> Key:
     return key_of(name) or BY_PATH[path_of(name)]
 
 
-def is_known(name: str) -> bool:
-    """Tell whether there is such a key, or such an entry of layers."""
-    return path_of(name) in BY_PATH if layer_entry(name) is None else key_of(name) is not None
+def without_units(name: str, value: Any) -> Any:
+    """Return a raw value of a varied key in the case's units; RejectedError for a wrong unit."""
+    path, entry = split_key(name)
+    part = entry if isinstance(entry, str) and path not in LAYERS else None
+    return own_key(name).without_units(value, part)
 
 
 def name_fault(place: str, name: str, loc: str) -> Fault | None:
     """Return why a key cannot vary, None where it can."""
-    if not is_known(name):
-        reason = unknown_key(name if path_of(name) in LAYERS else path_of(name))
+    path, index = split_key(name)
+    if (key_of(name) or BY_PATH.get(path)) is None or (path in LAYERS and key_of(name) is None):
+        reason = unknown_key(name if path in LAYERS else path)
         return Fault(f"{place}: {reason}", loc, "unknown_key")
     if name == "title":
-        return Fault(
-            f"{place}: a title makes no other case; must be another key", loc, "not_allowed"
-        )
-    path, index = split_key(name)
-    is_pair = BY_PATH[path].kind == "pair"
+        sentence = f"{place}: a title makes no other case; must be another key"
+        return Fault(sentence, loc, "not_allowed")
     file = index in ("file", "trace") and path.endswith(".profile")
-    if file or (isinstance(index, int) and not is_pair):
+    if file or (isinstance(index, int) and BY_PATH[path].kind != "pair"):
         sentence = f"{place}: {path} has no such entries; must be the key itself"
         return Fault(sentence, loc, "unknown_key")
     return None
@@ -203,21 +203,17 @@ class Variation:
     name: str
     #: "values", "linear" or "log"
     spacing: str
-    #: raw values, or both ends of a range, without units
+    #: raw values, or both ends of a range in the case's units
     values: tuple[Any, ...]
     #: number of values of a range in a grid
-    count: int
-    #: in which the study writes the values, "" for the case's
-    unit: str
+    count: int = 0
 
     def grid(self) -> list[Any]:
         """Return the values of a grid."""
         if self.spacing == "values":
             return list(self.values)
-        low, high = self.values
-        log = self.spacing == "log"
-        space = np.geomspace(low, high, self.count) if log else np.linspace(low, high, self.count)
-        return list(self._in_kind(space).tolist())
+        space: Any = np.geomspace if self.spacing == "log" else np.linspace
+        return self._whole(space(*self.values, self.count)).tolist()
 
     def at(self, shares: FloatArray) -> Column:
         """Return the values at shares from 0 to 1 of the range or the list, (cases,)."""
@@ -226,10 +222,9 @@ class Variation:
         low, high = self.values
         log = self.spacing == "log"
         values = low * (high / low) ** shares if log else low + (high - low) * shares
-        values = self._in_kind(values)
-        return Column.of(values if values.dtype.kind == "f" else values.tolist())
+        return Column.of(self._whole(values).tolist())
 
-    def _in_kind(self, values: FloatArray) -> NDArray[Any]:
+    def _whole(self, values: FloatArray) -> NDArray[Any]:
         """Return whole numbers where only these will do."""
         path, index = split_key(self.name)
         whole = index is None and BY_PATH[path].kind == "whole"
@@ -240,73 +235,43 @@ def read_variations(
     name: str, vary: Mapping[str, Any], method: str, faults: list[str]
 ) -> list[Variation]:
     """Return the varied keys of a study, and add their faults."""
-    if method == "list":
-        if vary:
-            sentence = f'{name}: [vary]: must be absent where design.method = "list"'
-            faults.append(Fault(sentence, "vary", "conflict"))
-        return []
     entries = unnested(vary, {"values", "linear", "log", "count"})
-    if not entries:
+    if method == "list" and vary:
+        sentence = f'{name}: [vary]: must be absent where design.method = "list"'
+        faults.append(Fault(sentence, "vary", "conflict"))
+    elif method != "list" and not entries:
         sentence = f"{name}: [vary]: is missing or empty; must name one case key at least"
         faults.append(Fault(sentence, "vary", "missing"))
     variations = []
     for key, entry in entries.items():
-        place, table = f'{name}: vary."{legible(key)}"', key.rpartition(".")[0]
-        if not is_known(key) and table in BY_PATH:  # a form that is unknown, read as a table
-            words = legible(key.removeprefix(f"{table}."))
-            sentence = f'{name}: vary."{table}": {words}: {_FORMS}'
-            faults.append(Fault(sentence, f"vary.{table}", "not_allowed"))
-        elif fault := name_fault(place, key, f"vary.{key}"):
+        place = f'{name}: vary."{legible(key)}"'
+        if fault := name_fault(place, key, f"vary.{key}"):
             faults.append(fault)
-        else:
-            try:
-                variations.append(_variation(key, entry, method))
-            except RejectedError as reason:
-                faults.append(Fault(f"{place}{reason}", f"vary.{key}", "not_allowed"))
+            continue
+        try:
+            variations.append(_variation(key, entry, method))
+        except RejectedError as reason:
+            because = f" ({reason})" if str(reason) else ""
+            sentence = f"{place} = {shortened(entry)}: {_RULE}{because}"
+            faults.append(Fault(sentence, f"vary.{key}", "not_allowed"))
     return variations
 
 
 def _variation(key: str, entry: Any, method: str) -> Variation:
-    """Return a varied key; RejectedError with what is wrong with its entry."""
-    spacings = entry.keys() & {"values", "linear", "log"} if isinstance(entry, dict) else set()
-    if len(spacings) != 1 or entry.keys() - spacings - {"count"}:
-        words = ", ".join(entry) if isinstance(entry, dict) else shortened(entry)
-        raise RejectedError(f" = {legible(words)}: {_FORMS}")
-    (spacing,), count = spacings, entry.get("count")
-    values, words = entry[spacing], f": {spacing} = {shortened(entry[spacing])}"
-    if not isinstance(values, list) or not values:
-        raise RejectedError(f"{words}: must be a list, not empty")
+    """Return a varied key; RejectedError where its entry breaks the rule, perhaps with why."""
+    table = dict(entry) if isinstance(entry, Mapping) else {}
+    count = table.pop("count", None)
+    spacing, values = table.popitem() if len(table) == 1 else ("", None)
+    if spacing not in ("values", "linear", "log") or not isinstance(values, list) or not values:
+        raise RejectedError
+    in_grid = method == "grid" and spacing != "values"
+    if not (is_whole(count) and 2 <= count <= MOST_CASES if in_grid else count is None):
+        raise RejectedError
     if spacing == "values":
-        if count is not None:
-            raise RejectedError(f": count = {shortened(count)}: must be absent beside values")
-        return Variation(key, spacing, tuple(values), 0, _written_unit(values, key))
-    rule = f"must be two increasing numbers{' > 0' if spacing == 'log' else ''}"
-    path, index = split_key(key)
-    part = index if isinstance(index, str) and path not in LAYERS else None
-    try:
-        ends = [own_key(key).without_units(value, part) for value in values]
-        numbers = len(ends) == 2 and all(map(is_finite, ends))
-    except RejectedError as reason:
-        raise RejectedError(f"{words}: {rule} ({reason})") from reason
-    if not numbers or not ends[0] < ends[1] or (spacing == "log" and ends[0] <= 0):
-        raise RejectedError(f"{words}: {rule}")
-    if method == "grid" and not (is_whole(count) and 2 <= count <= MOST_CASES):
-        state = "is missing" if count is None else f"= {shortened(count)}"
-        raise RejectedError(
-            f": count {state}: must be a whole number from 2 to {MOST_CASES} in a grid"
-        )
-    if method != "grid" and count is not None:
-        raise RejectedError(
-            f": count = {shortened(count)}: must be absent; design.count says how many cases "
-            f'method = "{method}" draws'
-        )
-    return Variation(key, spacing, tuple(map(float, ends)), count or 0, _written_unit(values, key))
-
-
-def _written_unit(values: Sequence[Any], key: str) -> str:
-    """Return the unit in which the values of a varied key are written, "" for the case's."""
-    unit = next((number_and_unit(value)[1] for value in values if has_unit(value)), "")
-    try:
-        return "" if not unit or factor(unit, base_unit(key)) == 1.0 else unit
-    except RejectedError:  # which is reported where values are read
-        return ""
+        return Variation(key, spacing, tuple(values))
+    ends = [without_units(key, value) for value in values]
+    if len(ends) != 2 or not all(map(is_finite, ends)) or not ends[0] < ends[1]:
+        raise RejectedError
+    if spacing == "log" and ends[0] <= 0:
+        raise RejectedError
+    return Variation(key, spacing, tuple(map(float, ends)), count or 0)

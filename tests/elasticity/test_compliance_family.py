@@ -20,7 +20,7 @@ def test_members_are_the_compliances_of_their_moduli(comm):
         replace(case, lower=replace(case.lower, young=a), upper=replace(case.upper, young=b))
         for a, b in moduli
     ]
-    found = Compliances.of([pair] * 3, cases, {})
+    found = Compliances.of([pair] * 3, cases)
     scaled, area = found.scaled(), pair.line.area
     assert len(found.every) == 1
     products = scaled.products(np.arange(3))

@@ -114,12 +114,12 @@ def test_the_page_of_a_sweep_has_its_failures(folder, pages):
     rows = {row[0]: row[1:] for row in table[1:]}
     assert list(rows) == list(ids)
     assert [row[1] for row in worst[1:]] == ["failed"] * 10
-    assert table[0][3:6] == ["mean pressure (kPa)", "grip, upper", f"penetration ({MICRO})"]
-    assert {row[2] for row in rows.values()} == {"5e+04", "1e+05", "1e+12"}
+    assert table[0][3:6] == ["mean pressure (MPa)", "grip, upper", f"penetration ({MICRO})"]
+    assert {row[2] for row in rows.values()} == {"50", "100", "1e+09"}
     for case, state, depth in zip(ids, status, final, strict=True):
         assert rows[case][0] == state
         assert rows[case][4] == (f"{1e3 * depth:.4g}" if np.isfinite(depth) else "")
-    assert page.rows("values")["load.pressure"][2:] == ["5e+04", "1e+12", "3"]
+    assert page.rows("values")["load.pressure"][2:] == ["50", "1e+09", "3"]
     assert page.rows("values")["upper.grip"][2:] == ["clamped", "platen", "2"]
 
 

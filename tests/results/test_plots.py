@@ -60,7 +60,7 @@ def test_wrong_files(runs, tmp_path):
     for source, panel, word in ((runs[2], "pressure", "pressure"), (text, "wear", "not a result"),
                                 (runs[0], "wear,warmth", "warmth")):  # fmt: skip
         with pytest.raises(rw.InputError, match=word):
-            plot_stored([source], tmp_path / "a.png", panel)
+            plot_stored([source], tmp_path / "a.png", panels=panel)
     assert list(tmp_path.iterdir()) == [text]
 
 

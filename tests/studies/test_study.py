@@ -135,12 +135,6 @@ def test_samples_follow_from_their_seed(write, method):
     assert rows(sampled(write, method, 8, seed=2)) != values
 
 
-def test_latin_hypercube_has_one_point_in_each_stratum(write):
-    k = np.array([row[0] for row in rows(sampled(write, "latin-hypercube", 50))])
-    strata = (50.0 * np.log(k / 1e-8) / np.log(100.0)).astype(int)
-    assert sorted(strata) == list(range(50))
-
-
 def test_list_from_a_table(write, tmp_path):
     (tmp_path / "rows.csv").write_text(
         "load.pressure,upper.r,time.scheme\n"

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -67,32 +68,24 @@ def plot(
         refuse_drawn(path)
         if len(sources) > 1 or panels is not None or steps or times or profiles_of:
             raise InputError(
-                f"{path}: is a {'folder' if path.is_dir() else 'case'}; must be the only thing to "
-                "be drawn, without panels, steps, times and profiles of some"
+                f"{path}: a folder or a case must be drawn alone, without other options"
             )
-        if not path.is_dir():
-            return of_width(draw_rig(read_case(path)), width)
-        from ringwear_par.studies.ensemble import read_ensemble
-        from ringwear_par.studies.pictures.figures import draw_sweep
+        if path.is_dir():
+            from ringwear_par.studies.ensemble import read_ensemble
+            from ringwear_par.studies.pictures.figures import draw_sweep
 
-        return of_width(draw_sweep(read_ensemble(path)), width)
+            return of_width(draw_sweep(read_ensemble(path)), width)
+        return of_width(draw_rig(read_case(path)), width)
     return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)
 
 
 def plot_stored(
-    results: Sequence[Path],
-    output: Path,
-    panels: str | None = None,
-    steps: str | None = None,
-    profiles_of: Sequence[Path] | None = None,
-    times: str | None = None,
-    width: float | None = None,
-    dpi: float | None = None,
+    results: Sequence[Path], output: Path, dpi: float | None = None, **choices: Any
 ) -> None:
     """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
 
     The ending of the output chooses the format; dpi are the points of an inch, where it has such.
     """
     check_format(output)
-    figure = plot(results, panels, steps or "", profiles_of or (), times or "", width)
+    figure = plot(results, **{name: choice for name, choice in choices.items() if choice})
     save_figure(figure, output, dpi)
