@@ -51,22 +51,22 @@ def stress_arrays(history: StressHistory) -> dict[str, Any]:
     states = history.states
     if not states:
         return {}
-    data: dict[str, Any] = {
-        "stress_time": np.array([state.time for state in states]),
-        "stress_steps_made": np.array([state.step for state in states]),
-        "stress_exclude": np.array(history.exclude),
-        "grid_r": history.grid[0], "grid_z": history.grid[1], **_points(history),
-    }  # fmt: skip
+    values: dict[str, Any] = {
+        "stress_time": [state.time for state in states],
+        "stress_steps_made": [state.step for state in states],
+        "grid_r": history.grid[0],
+        "grid_z": history.grid[1],
+    }
     for field, name in _OF_STATE.items():
-        data[name] = np.array([getattr(state, field) for state in states])
+        values[name] = [getattr(state, field) for state in states]
     for i, (body, lines) in enumerate(zip(BODIES, history.interfaces, strict=True)):
-        data |= {f"interface_r_{body}": lines.r, f"interface_z_{body}": lines.z}
+        values |= {f"interface_r_{body}": lines.r, f"interface_z_{body}": lines.z}
         for field, name in _OF_BODY.items():
-            data[name.format(body)] = np.array([getattr(state, field)[i] for state in states])
+            values[name.format(body)] = [getattr(state, field)[i] for state in states]
         for end, number in _LARGEST.items():
-            values = [getattr(state.largest[i], number) for state in states]
-            data[f"max_mises_{body}{end}"] = np.array(values)
-    return {name: values for name, values in data.items() if np.size(values)}
+            values[f"max_mises_{body}{end}"] = [getattr(s.largest[i], number) for s in states]
+    data = {name: np.array(v) for name, v in values.items() if len(v) and np.size(v[0])}
+    return {**data, **_points(history), "stress_exclude": np.array(history.exclude)}
 
 
 def stress_history(data: Mapping[str, Any]) -> StressHistory | None:
