@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-_BALANCE = "balance_"
+#: beginning of the attributes of balances
+BALANCE = "balance_"
 
 
 class Outcome:
@@ -183,9 +184,9 @@ class Result(Outcome):
     def balances(self) -> dict[str, float]:
         """Relative defects of balances by name, the worst of all steps (see Balances)."""
         return {
-            name.removeprefix(_BALANCE): float(value)
+            name.removeprefix(BALANCE): float(value)
             for name, value in self.attributes.items()
-            if name.startswith(_BALANCE)
+            if name.startswith(BALANCE)
         }
 
     @property
@@ -306,8 +307,3 @@ class HistoryColumns:
     def rows(self, i: int) -> slice:
         """Return which rows are of history i."""
         return slice(int(self.offsets[i]), int(self.offsets[i + 1]))
-
-
-def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:
-    """Return the attributes that keep balances by name."""
-    return {f"{_BALANCE}{name}": value for name, value in balances.items()}
