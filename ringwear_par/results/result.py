@@ -13,8 +13,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one, take
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
-from ringwear_par.errors import InputError, RingwearError, ValidityWarning
-from ringwear_par.files.text import parse_toml
+from ringwear_par.errors import RingwearError, ValidityWarning
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.results.fields import boundary_states, stress_history
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES
@@ -258,11 +257,7 @@ class FailedResult:
     error: RingwearError
 
     def __repr__(self) -> str:
-        try:
-            title = parse_toml(self.case, "case").get("title")
-        except InputError:  # whatever text it was given
-            title = None
-        return f"<FailedResult: {title or 'no title'}: {type(self.error).__name__}: {self.error}>"
+        return f"<FailedResult: {type(self.error).__name__}: {self.error}>"
 
 
 @dataclass(frozen=True, eq=False)
