@@ -123,7 +123,6 @@ def parser() -> argparse.ArgumentParser:
     a.flag("--restart",
            "continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end")
     a.flag("--overwrite", "replace RUN.h5, even if it holds an interrupted run")
-    a.flag("--verbose", "print all key numbers, checks and seconds")
     a.add_argument("--plot", type=_figure, dest="figure", metavar="FIG.png",
                    help="draw the history at the end")
     a = command(
@@ -234,19 +233,9 @@ def parser() -> argparse.ArgumentParser:
         "export", "write stored results for ParaView or a spreadsheet",
         "reports.spreadsheets:export", "ringwear export run.h5 -o run.csv", "serial")
     a.path("run", metavar="RUN.h5 or DIR")
-    a.output("OUT", ".vtkhdf: contours of both bodies at all stored times; .csv: histories of a "
-             "run, cases of a sweep, tests of a fit or measurement; .xlsx: all their tables "
-             "(openpyxl)")
-    a.add_argument("--decimal", choices=("point", "comma"), default="point",
-                   help="decimal mark in .csv; with commas, semicolons are between the columns")
-    a.add_argument("--revolve", type=int, dest="segments", metavar="N",
-                   help="write the surfaces, revolved in N segments, instead of the contours")
-    a.add_argument("--scale", type=float, metavar="S",
-                   help="add the displacements, S times magnified, to the points (default: 0)")
-    a.flag("--fields", "write the fields along the contact line to .csv instead of the histories")
-    a.flag("--stress", "write the stresses of [stress]: its grid to .vtkhdf, its points to .csv")
-    a.flag("--interfaces",
-           "write the stresses along the interfaces between layers to .vtkhdf or .csv")
+    a.output("OUT", ".vtkhdf: stored boundaries of both bodies, else the grid of stresses; .csv: "
+             "histories of a run, cases of a sweep, tests of a fit or measurement; .xlsx: all "
+             "their tables (openpyxl)")
     command(
         "verify", "check that this installation computes rightly: ten numbers, in seconds",
         "verify:verify", "ringwear verify", "solves")

@@ -15,23 +15,14 @@ _MOST_ROWS, _LONGEST = 1_048_575, 32_767
 Table = tuple[str, Sequence[str], Iterable[Sequence[Any]]]
 
 
-def write_csv(output: Path, table: Table, decimal: str = "point") -> None:
-    """Write a table by rename; numbers keep all their digits, there is nothing where one is NaN.
-
-    Parameters
-    ----------
-    decimal : "point", or "comma", where semicolons are between the columns.
-    """
-    delimiter, mark = (";", ",") if decimal == "comma" else (",", ".")
+def write_csv(output: Path, table: Table) -> None:
+    """Write a table by rename; numbers keep all their digits, there is nothing where one is NaN."""
     _, header, rows = table
     with atomic_write(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
-        writer = csv.writer(f, delimiter=delimiter, lineterminator="\n")
+        writer = csv.writer(f, lineterminator="\n")
         writer.writerow(header)
         for row in rows:
-            cells = ("" if value != value else value for value in row)
-            writer.writerow(
-                repr(v).replace(".", mark) if isinstance(v, float) else v for v in cells
-            )
+            writer.writerow("" if value != value else value for value in row)
 
 
 def check_xlsx(output: Path) -> None:

@@ -8,13 +8,13 @@ import numpy as np
 
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import FIT, MEASURE, READINGS
-from ringwear_par.files.spreadsheets import Table, write_csv, write_xlsx
+from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
 from ringwear_par.identification.summary import key_rows
 from ringwear_par.measuring.measure_numbers import table_of
 from ringwear_par.reports.fit_page import stored_outcome, stored_readings
-from ringwear_par.results.export import check_tables, titled
 from ringwear_par.results.export import export as export_run
+from ringwear_par.results.export import titled
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.end_values import end_value_of
 from ringwear_par.studies.ensemble import RESULTS, Ensemble, join_flags, read_ensemble
@@ -24,33 +24,27 @@ from ringwear_par.studies.variations import own_key
 _TABLES = (".csv", ".xlsx")
 
 
-def export(run: Path, output: Path, decimal: str = "point", **choices: Any) -> str:
+def export(run: Path, output: Path) -> str:
     """Write a run or a folder of results in another format; return what was written.
 
     On one rank. A .csv has the histories of a run, the cases of a sweep or the tests of a fit or a
     measurement; an .xlsx has all tables.
-
-    Parameters
-    ----------
-    decimal : "point" or "comma", of numbers in a .csv.
-    choices : of a run, see ``results.export.export``.
 
     Raises
     ------
     InputError : what cannot be read or written, or a package that is missing.
     """
     if not run.is_dir():
-        return export_run(run, output, decimal=decimal, **choices)
+        return export_run(run, output)
     if output.suffix not in _TABLES:
         raise InputError(f"{output}: its ending must be {' or '.join(_TABLES)} of a folder")
-    if any(choices.values()):
-        raise InputError(f"{run}: is a folder; must be without the options of runs")
     check_writable(output)
-    check_tables(output, decimal)
+    if output.suffix == ".xlsx":
+        check_xlsx(output)
     sheets = _sheets(run)
     if output.suffix == ".xlsx":
         return f"{output}: {write_xlsx(output, sheets)}"
-    write_csv(output, sheets[0], decimal)
+    write_csv(output, sheets[0])
     return f"{output}: {sheets[0][0]}"
 
 

@@ -1,4 +1,4 @@
-"""Attributes of a result: its case, laws, layers and sliding, and where its seconds went."""
+"""Attributes of a result: its case, laws, layers and sliding."""
 
 import json
 from typing import Any
@@ -9,7 +9,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.history.physics import Physics
 from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, integral, mean, points_of
 from ringwear_par.version import versions
@@ -85,26 +84,4 @@ def times_through(case: Case, through: FloatArray) -> dict[str, FloatArray]:
         name: np.where(np.isfinite(time), time, np.nan)
         for name, time, ring in zip(TIMES_THROUGH, through, case.rings, strict=True)
         if ring.layers
-    }
-
-
-def wall_times(physics: Physics, stepping: float, output: float) -> dict[str, float]:
-    """Return wall times by attribute, s.
-
-    Parameters
-    ----------
-    stepping : from the start of a history to its last state, all included.
-    output : of it, spent on files.
-    """
-    cost = physics.update_cost
-    if not physics.pair_is_shared:  # of which the assembly is another's time
-        cost = cost + physics.pairs[0].cost
-    return {
-        "seconds_assembly": cost.seconds_assembly,
-        "seconds_factorisation": cost.seconds_solution,
-        # where a pair was kept, its cost is of when it was assembled
-        "seconds_stepping": max(
-            stepping - output - (cost.seconds_assembly + cost.seconds_solution), 0.0
-        ),
-        "seconds_output": output,
     }

@@ -8,7 +8,6 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
-    SIDES,
     BoundaryFields,
     BoundaryState,
     Interfaces,
@@ -38,6 +37,13 @@ _COLUMNS = {
 }
 #: ends of the names of the numbers of a ``Largest``
 _LARGEST = {"": "mises", "_r": "r", "_z": "z", "_layer": "layer"}
+#: arrays of a ``StressState`` by the name of its field, the later ones of each body
+_OF_STATE = {"points": "stress", "grid": "stress_grid"}
+_OF_BODY = {
+    "surface": "surface_stress_{}",
+    "interfaces": "interface_stress_{}",
+    "layers": "max_mises_{}_layers",
+}
 
 
 def stress_arrays(history: StressHistory) -> dict[str, Any]:
@@ -45,67 +51,49 @@ def stress_arrays(history: StressHistory) -> dict[str, Any]:
     states = history.states
     if not states:
         return {}
-    data: dict[str, Any] = {
-        "stress_time": np.array([state.time for state in states]),
-        "stress_steps_made": np.array([state.step for state in states]),
-        "stress_exclude": np.array(history.exclude),
+    values: dict[str, Any] = {
+        "stress_time": [state.time for state in states],
+        "stress_steps_made": [state.step for state in states],
+        "grid_r": history.grid[0],
+        "grid_z": history.grid[1],
     }
-    if len(history.points):
-        data |= {**_points(history), "stress": np.array([state.points for state in states])}
-    if len(history.grid[0]):
-        data |= dict(zip(("grid_r", "grid_z"), history.grid, strict=True))
-        data["stress_grid"] = np.array([state.grid for state in states])
+    for field, name in _OF_STATE.items():
+        values[name] = [getattr(state, field) for state in states]
     for i, (body, lines) in enumerate(zip(BODIES, history.interfaces, strict=True)):
-        data[f"surface_stress_{body}"] = np.array([state.surface[i] for state in states])
+        values |= {f"interface_r_{body}": lines.r, f"interface_z_{body}": lines.z}
+        for field, name in _OF_BODY.items():
+            values[name.format(body)] = [getattr(state, field)[i] for state in states]
         for end, number in _LARGEST.items():
-            values = [getattr(state.largest[i], number) for state in states]
-            data[f"max_mises_{body}{end}"] = np.array(values)
-        if len(lines.z):
-            data |= {
-                f"interface_r_{body}": lines.r,
-                f"interface_z_{body}": lines.z,
-                f"interface_stress_{body}": np.array([state.interfaces[i] for state in states]),
-                f"max_mises_{body}_layers": np.array([state.layers[i] for state in states]),
-            }
-    return data
+            values[f"max_mises_{body}{end}"] = [getattr(s.largest[i], number) for s in states]
+    data = {name: np.array(v) for name, v in values.items() if len(v) and np.size(v[0])}
+    return {**data, **_points(history), "stress_exclude": np.array(history.exclude)}
 
 
 def stress_history(data: Mapping[str, Any]) -> StressHistory | None:
     """Return the stresses of which these are the arrays, None where there are none."""
     if "stress_time" not in data:
         return None
-    count = len(data["stress_time"])
-    no_points, no_grid = np.empty((count, 0, 6)), np.empty((count, 0, 0, 6))
-    no_interfaces, none = np.empty((count, 0, len(SIDES), 0, 6)), np.empty(0)
-    points = [data.get(name, none) for name in ("point_r", "point_z")]
-    at_points, on_grid = data.get("stress", no_points), data.get("stress_grid", no_grid)
-
-    def of(body: str) -> list[tuple[Any, ...]]:
-        """Return the face, the largest stress, interfaces and layers of a body at each state."""
-        columns = [data[f"max_mises_{body}{end}"].tolist() for end in _LARGEST]
-        return list(
-            zip(
-                data[f"surface_stress_{body}"],
-                (Largest(*row) for row in zip(*columns, strict=True)),
-                data.get(f"interface_stress_{body}", no_interfaces),
-                data.get(f"max_mises_{body}_layers", np.empty((count, 0))),
-                strict=True,
-            )
-        )
-
     times, steps = data["stress_time"].tolist(), data["stress_steps_made"].tolist()
-    states = tuple(
-        StressState(steps[t], times[t], at_points[t], on_grid[t], *zip(*bodies, strict=True))
-        for t, bodies in enumerate(zip(*map(of, BODIES), strict=True))
-    )
+    none, no_stress = np.empty(0), np.empty((len(times), 0, 6))
+    largest = [[data[f"max_mises_{body}{end}"].tolist() for end in _LARGEST] for body in BODIES]
+
+    def state(t: int) -> StressState:
+        of_bodies: Any = {
+            field: tuple(data.get(name.format(body), no_stress)[t] for body in BODIES)
+            for field, name in _OF_BODY.items()
+        }
+        lower, upper = (Largest(*(numbers[t] for numbers in of_body)) for of_body in largest)
+        fields = {field: data.get(name, no_stress)[t] for field, name in _OF_STATE.items()}
+        return StressState(steps[t], times[t], **fields, **of_bodies, largest=(lower, upper))
+
     lower, upper = (
         Interfaces(*(data.get(f"interface_{axis}_{body}", none) for axis in "rz"))
         for body in BODIES
     )
     return StressHistory(
-        np.stack(points, axis=1), tuple(data.get("point_side", ())),
-        (data.get("grid_r", none), data.get("grid_z", none)), float(data["stress_exclude"]),
-        (lower, upper), states,
+        np.stack([data.get(name, none) for name in ("point_r", "point_z")], axis=1),
+        tuple(data.get("point_side", ())), (data.get("grid_r", none), data.get("grid_z", none)),
+        float(data["stress_exclude"]), (lower, upper), tuple(map(state, range(len(times)))),
     )  # fmt: skip
 
 

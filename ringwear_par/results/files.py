@@ -143,8 +143,7 @@ def result_of(source: Result | str | Path) -> Result:
 
 
 def _arrays(group: h5py.Group) -> Iterator[tuple[str, Any]]:
-    """Yield the data in a group by place; ValueError where a size is not that of its axis."""
-    sizes: dict[str, int] = {}
+    """Yield the data in a group by place."""
     for name, item in group.items():
         place = f"{group.name}/{name}".lstrip("/")
         if isinstance(item, h5py.Group):
@@ -153,15 +152,8 @@ def _arrays(group: h5py.Group) -> Iterator[tuple[str, Any]]:
         variable = VARIABLES.get(place)
         if variable is None or place in _DERIVED or place in _TEXTS:
             continue
-        dimensions = variable.dimensions
-        if dimensions == (name,) and variable.integer and place not in ("step", _STATE):
+        if variable.dimensions == (name,) and variable.integer and place not in ("step", _STATE):
             continue  # numbers an axis
-        if item.ndim < len(dimensions):
-            dimensions = variable.at_last_step().dimensions
-        for dimension, size in zip(dimensions, item.shape, strict=True):
-            known = sizes.setdefault(dimension, size)
-            if known != size and dimension not in (LAYER.name, UPPER_LAYER.name):
-                raise ValueError(place)
         yield place, item.asstr()[()].tolist() if item.dtype.kind == "O" else item[()]
 
 

@@ -19,11 +19,7 @@ from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
-from ringwear_par.results.attributes import (
-    case_attributes,
-    times_through,
-    wall_times,
-)
+from ringwear_par.results.attributes import case_attributes, times_through
 from ringwear_par.results.fields import (
     boundary_arrays,
     point_columns,
@@ -31,7 +27,7 @@ from ringwear_par.results.fields import (
     stress_rows,
 )
 from ringwear_par.results.laboratory_numbers import end_numbers
-from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
+from ringwear_par.results.result import BALANCE, Checkpoint, HistoryColumns, Result
 from ringwear_par.results.rows import LastStates, StoredRows
 from ringwear_par.results.variables import LAYER_ENDS
 from ringwear_par.results.warnings import INFINITE, Measures, Warnings
@@ -244,8 +240,8 @@ class Recorder:
                 "status": "complete" if self._last.has_ended(number) else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                **self.seconds(),
-                **balance_attributes(balances),
+                **self._seconds(),
+                **{f"{BALANCE}{name}": value for name, value in balances.items()},
                 "symmetry_defect": defect,
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
@@ -253,11 +249,22 @@ class Recorder:
             Checkpoint(start, place, int(self._rows.pending[number]), worst),
         )  # fmt: skip
 
-    def seconds(self) -> dict[str, float]:
+    def _seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.
 
-        Of several histories, those of one in the mean.
+        Of several histories, those of one in the mean. The assembly of a shared pair is another's,
+        and that of one that was assembled before is of then.
         """
-        stepping = self._stepping / len(self._cases)
-        seconds = wall_times(self._last.physics, stepping, self.seconds_output)
+        physics, output = self._last.physics, self.seconds_output
+        cost = physics.update_cost
+        if not physics.pair_is_shared:
+            cost = cost + physics.pairs[0].cost
+        assembly, solution = cost.seconds_assembly, cost.seconds_solution
+        stepping = self._stepping / len(self._cases) - output - (assembly + solution)
+        seconds = {
+            "seconds_assembly": assembly,
+            "seconds_factorisation": solution,
+            "seconds_stepping": max(stepping, 0.0),
+            "seconds_output": output,
+        }
         return {name: s + float(self._before.get(name, 0.0)) for name, s in seconds.items()}

@@ -13,8 +13,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one, take
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
-from ringwear_par.errors import InputError, RingwearError, ValidityWarning
-from ringwear_par.files.text import parse_toml
+from ringwear_par.errors import RingwearError, ValidityWarning
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.results.fields import boundary_states, stress_history
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES
@@ -23,7 +22,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-_BALANCE = "balance_"
+#: beginning of the attributes of balances
+BALANCE = "balance_"
 
 
 class Outcome:
@@ -183,9 +183,9 @@ class Result(Outcome):
     def balances(self) -> dict[str, float]:
         """Relative defects of balances by name, the worst of all steps (see Balances)."""
         return {
-            name.removeprefix(_BALANCE): float(value)
+            name.removeprefix(BALANCE): float(value)
             for name, value in self.attributes.items()
-            if name.startswith(_BALANCE)
+            if name.startswith(BALANCE)
         }
 
     @property
@@ -257,11 +257,7 @@ class FailedResult:
     error: RingwearError
 
     def __repr__(self) -> str:
-        try:
-            title = parse_toml(self.case, "case").get("title")
-        except InputError:  # whatever text it was given
-            title = None
-        return f"<FailedResult: {title or 'no title'}: {type(self.error).__name__}: {self.error}>"
+        return f"<FailedResult: {type(self.error).__name__}: {self.error}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,8 +302,3 @@ class HistoryColumns:
     def rows(self, i: int) -> slice:
         """Return which rows are of history i."""
         return slice(int(self.offsets[i]), int(self.offsets[i + 1]))
-
-
-def balance_attributes(balances: Mapping[str, float]) -> dict[str, float]:
-    """Return the attributes that keep balances by name."""
-    return {f"{_BALANCE}{name}": value for name, value in balances.items()}

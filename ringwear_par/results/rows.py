@@ -16,8 +16,9 @@ from ringwear_par.history.stop_criteria import limit_words, limits_reached
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, VARIABLES, layer_names
 
-#: variables that count from the start, and the variable that they are changes of
-_SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
+#: what is noted of each row beside its variables: the number of its history, steps made, and the
+#: iterations of the contact solver in these
+_NOTED = ("number", "steps", "iterations")
 
 
 def row(physics: Physics, state: State) -> dict[str, Any]:
@@ -63,32 +64,24 @@ class StoredRows:
     def __init__(self, cases: Sequence[Case]) -> None:
         case, count = cases[0], len(cases)
         self._case, self._count = case, count
-        fields, layers = case.output.fields, (len(case.lower.layers), len(case.upper.layers))
+        layers = len(case.lower.layers), len(case.upper.layers)
         #: names of what is stored, by field of ``HistoryColumns``
         self._groups = {
             "histories": tuple(HISTORIES),
-            "profiles": fields,
+            "profiles": case.output.fields,
             "layers": layer_names((layers[0] > 0, layers[1] > 0)),
         }
-        #: sizes of the axes of a row
-        self._sizes = {
-            "element": case.line.n,
-            "layer": 1 + layers[0],
-            "layer_upper": 1 + layers[1],
-        }
-        stored = [name for names in self._groups.values() for name in names]
-        last = [
-            name
-            for name in stored
-            if case.output.profiles == "last" and "element" in VARIABLES[name].dimensions
-        ]
-        # rows as they come: numbers of the histories, steps, iterations of the contact solver in
-        # the steps before, variables
-        self._numbers: list[IntArray] = []
-        self._steps: list[IntArray] = []
-        self._before: list[IntArray] = []
-        self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
-        self._last_profiles = {name: np.full(self._shape(name, count), np.nan) for name in last}
+        sizes = {"element": case.line.n, "layer": 1 + layers[0], "layer_upper": 1 + layers[1]}
+        #: rows as they come, and of each history the last profiles where these alone are stored
+        self._rows: dict[str, list[Any]] = {name: [np.empty(0, np.int64)] for name in _NOTED}
+        self._last_profiles: dict[str, Any] = {}
+        for name in (name for names in self._groups.values() for name in names):
+            variable = VARIABLES[name]
+            shape = [sizes[axis] for axis in variable.dimensions[1:]]
+            if case.output.profiles == "last" and "element" in variable.dimensions:
+                self._last_profiles[name] = np.full((count, *shape), np.nan)
+            elif name != "penetration":  # follows from the approach
+                self._rows[name] = [np.empty((0, *shape), variable.dtype)]
         # (B,) iterations of the contact solver in all steps so far, in those before the last stored
         # state, and in those before the first one here
         self._iterations, self._until_last, self._until_first = np.zeros((3, count), np.int64)
@@ -107,24 +100,24 @@ class StoredRows:
         ----------
         reached : s, time from which the history continues.
         """
-        steps, times = before.steps_made, np.asarray(before.histories["time"])
+        assert before.checkpoint is not None
+        steps, times = before.steps_made, np.asarray(before.data["time"])
         ended = [self._case.time.finished(*state) for state in zip(steps, times, strict=True)]
         rows = (times <= reached) & (ended | StoredStates.of([self._case]).at(steps, times))
-        self._numbers.append(np.zeros(np.count_nonzero(rows), dtype=np.int64))
-        self._steps.append(before.steps_made[rows])
-        stored = {**before.histories, **before.profiles, **before.layers}
+        self._iterations[:] = before.checkpoint.start.progress.iterations
+        forgotten = before.data["contact_iterations"][~rows].sum()
+        self._until_last -= forgotten + before.checkpoint.pending_iterations - self._iterations
+        self._until_first[:] = self._until_last
+        noted = {
+            "number": np.zeros(len(rows), np.int64),
+            "steps": steps,
+            "iterations": np.repeat(self._until_last, len(rows)),
+        }
         for name, parts in self._rows.items():
-            if name not in _SINCE_START:
-                parts.append(np.asarray(stored[name])[rows])
+            parts.append({**before.data, **noted}[name][rows])
         for name, last in self._last_profiles.items():
             if rows[-1]:
-                last[0] = stored[name]
-        assert before.checkpoint is not None
-        self._iterations[0] = before.checkpoint.start.progress.iterations[0]
-        pending = before.histories["contact_iterations"][~rows].sum()
-        self._until_last[0] = self._iterations[0] - pending - before.checkpoint.pending_iterations
-        self._until_first[:] = self._until_last
-        self._before.append(np.repeat(self._until_last, np.count_nonzero(rows)))
+                last[0] = before.data[name]
         return rows
 
     def __call__(self, snapshot: Snapshot) -> bool:
@@ -135,49 +128,38 @@ class StoredRows:
         stored = np.flatnonzero(snapshot.stored)
         if not len(stored):
             return False
-        values, numbers = row(snapshot.physics, snapshot.state), snapshot.numbers[stored]
         # of a state from which its history does not go on from another; steps have theirs by now
         apart = snapshot.passing or snapshot.step is None
-        values["contact_iterations"] = snapshot.iterations * apart
-        self._numbers.append(numbers)
-        self._steps.append(snapshot.progress.steps[stored])
-        self._before.append(iterations[stored])
+        values = row(snapshot.physics, snapshot.state) | {
+            "contact_iterations": snapshot.iterations * apart,
+            "number": snapshot.numbers.copy(),
+            "steps": snapshot.progress.steps.copy(),
+            "iterations": iterations.copy(),
+        }
         # states do not change: those of all histories are stored without a copy
         part = slice(None) if len(stored) == len(snapshot.numbers) else stored
         for name, rows in self._rows.items():
-            if name not in _SINCE_START:
-                rows.append(values[name][part])
+            rows.append(values[name][part])
         # a single history may be stored before its end
         last = np.flatnonzero(snapshot.finished) if self._count > 1 else stored
         for name, profiles in self._last_profiles.items() if len(last) else ():
             profiles[snapshot.numbers[last]] = values[name][last]
-        np.maximum.at(self._until_last, numbers, iterations[stored])
+        np.maximum.at(self._until_last, snapshot.numbers[stored], iterations[stored])
         return False
 
     def columns(self) -> dict[str, Any]:
         """Return all rows, by history: the fields of ``HistoryColumns`` that these are."""
-        empty = np.empty(0, dtype=np.int64)
-        numbers = np.concatenate([empty, *self._numbers])
-        times = np.concatenate([np.empty(0), *self._rows["time"]])
+        times, numbers = (np.concatenate(self._rows[name]) for name in ("time", "number"))
         order = np.lexsort((times, numbers))  # states within steps may come late
-        places = np.empty(len(order), dtype=np.int64)
-        places[order] = np.arange(len(order))
-        values: dict[str, Any] = {}
-        for name, parts in self._rows.items():
-            if name not in _SINCE_START:
-                values[name] = self._column(name, parts, order, places)
-                parts[:] = [values[name]]  # in order from now on, and once in memory
-        numbers, steps = numbers[order], np.concatenate([empty, *self._steps])[order]
-        self._numbers, self._steps = [numbers], [steps]
+        for parts in self._rows.values():
+            parts[:] = [np.concatenate(parts)[order]]  # from now on in order, and once in memory
+        values = {name: rows for name, (rows,) in self._rows.items()}
+        numbers, steps, until = (values.pop(name) for name in _NOTED)
         first = np.searchsorted(numbers, numbers)
-        before = np.concatenate([empty, *self._before])[order]
-        self._before = [before]
         at_first = np.arange(len(numbers)) == first
-        since = before - np.where(at_first, self._until_first[numbers], np.roll(before, 1))
+        since = until - np.where(at_first, self._until_first[numbers], np.roll(until, 1))
         values["contact_iterations"] = values["contact_iterations"] + since
-        for name, total in _SINCE_START.items():
-            if name in self._rows:
-                values[name] = values[total] - values[total][..., first]
+        values["penetration"] = values["approach"] - values["approach"][first]
         offsets = np.searchsorted(numbers, np.arange(self._count + 1))
         values |= self._last_profiles
         groups = {g: {name: values[name] for name in names} for g, names in self._groups.items()}
@@ -185,25 +167,7 @@ class StoredRows:
 
     def part(self, name: str, values: Any, rows: slice, number: int) -> Any:
         """Return the values of a variable in some rows of a history, or its last profile."""
-        return values[rows if name in self._rows else number]
-
-    def _column(self, name: str, parts: Sequence[Any], order: IntArray, places: IntArray) -> Any:
-        """Return the rows of a variable in order; those with more axes, which are large, once."""
-        variable = VARIABLES[name]
-        if variable.dimensions[-1] == "step":
-            empty = np.empty(self._shape(name, 0), variable.dtype)
-            return np.concatenate([empty, *parts], axis=-1)[..., order]
-        shape, first = self._shape(name, len(order)), 0
-        column = np.empty(shape)
-        for part in parts:
-            last = first + len(part)
-            column[places[first:last]] = part
-            first = last
-        return column
-
-    def _shape(self, name: str, rows: int) -> tuple[int, ...]:
-        """Return the shape of so many rows of a variable, or of so many histories' last ones."""
-        return tuple(self._sizes.get(axis, rows) for axis in VARIABLES[name].dimensions)
+        return values[number if name in self._last_profiles else rows]
 
 
 class LastStates:

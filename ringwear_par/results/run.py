@@ -6,29 +6,46 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case, Output
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.law_trials import law_sources
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.plausible import implausible_numbers
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError, counted
-from ringwear_par.files.writing import announce_replacement
+from ringwear_par.files.writing import announce_replacement, check_writable
 from ringwear_par.history.loop import is_at_end, simulate_one
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
-from ringwear_par.results.files import restored, write_result
-from ringwear_par.results.preparation import Figure, prepare
+from ringwear_par.results.files import open_result, restored, write_result
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 from ringwear_par.results.signals import StopSignals, name_of
 from ringwear_par.results.summary import labelled
+from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 
 #: wall seconds between checkpoints
 CHECKPOINT_SECONDS = 30.0
+#: endings of names of result files
+_ENDINGS = (".h5", ".hdf5", ".nc")
+
+
+class Figure(Protocol):
+    """A picture that is drawn of a result file."""
+
+    def check(self, stored: Output | None) -> None:
+        """Refuse a picture that cannot be written, or drawn from what a case stores."""
+
+    def draw(self, results: Path) -> None:
+        """Draw and write it."""
 
 
 def run_case(
@@ -40,7 +57,6 @@ def run_case(
     restart: bool = False,
     overwrite: bool = False,
     figure: Figure | None = None,
-    verbose: bool = False,
 ) -> None:
     """Compute a wear history, write it, and print what came of it. Collective on comm.
 
@@ -52,7 +68,6 @@ def run_case(
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
     figure : picture to be drawn at the end.
-    verbose : print all key numbers, checks and seconds.
 
     Raises
     ------
@@ -61,61 +76,162 @@ def run_case(
     """
     first = comm.rank == 0
     case, before = on_first_rank(
-        comm, lambda: prepare(path, output, overrides, restart, overwrite, figure, comm.size)
+        comm, lambda: _checked(path, output, overrides, restart, overwrite, figure, comm.size)
     )
-    if before is not None and is_at_end(case, restored(before)):
+    if before is None or not is_at_end(case, restored(before)):
         if first:
-            limit = before.attributes.get("stopped_by")
-            early = f" since it reached {limit}, which may grow" if limit else ""
-            log.info("%s is complete%s: nothing to compute", output, early)
-        return _draw(output, figure, comm)
-    if first:
-        warn_of_threads(comm.size)
-    recorder = Recorder([case], comm, before)
-    if (start := recorder.start) is not None and first:
-        steps, reached = start.progress.steps[0], start.state.time[0]
-        log.info("continuing %s after step %d (%g s)", output, steps, reached)
-    run = Run(case, output, recorder, comm)
-    with ExitStack() as handlers:
+            warn_of_threads(comm.size)
+        announced = before is None and not overwrite
+        _compute(Run(case, output, Recorder([case], comm, before), comm, announced), path)
+    elif first:
+        limit = before.attributes.get("stopped_by")
+        early = f" since it reached {limit}, which may grow" if limit else ""
+        log.info("%s is complete%s: nothing to compute", output, early)
+    if figure is not None:
+        on_first_rank(comm, lambda: figure.draw(output))
 
-        def begin(snapshot: Snapshot) -> bool:
-            """Stop after a step, not at once, as soon as there is a state: an observer."""
-            if not run.signals.noted:
-                if before is None and not overwrite and first:
-                    announce_replacement(output)
-                handlers.enter_context(run.signals)
-            return False
 
-        _step(run, path, [recorder, begin, run])
-        result = run.save_at_end()
-        if first:
-            print("\n".join(_lines(result, output, recorder, verbose)))
-        last = recorder.last
-        with together(comm):
-            if last is not None and not recorder.finished:
-                steps, reached = int(last.progress.steps[0]), float(last.state.time[0])
-                how_far = f"(at {reached:g} of {case.time.end:g} s)"
-                raise ComputationError(
-                    f"stopped by {name_of(run.agreed)} after step {steps} "
-                    f"{how_far if case.time.adaptive else f'of {case.time.steps}'}; {output} holds "
-                    "them, and the same command with --restart continues"
-                )
-    return _draw(output, figure, comm)
+# -- before any work -------------------------------------------------------------------------------
+
+
+def _checked(
+    path: Path,
+    output: Path,
+    overrides: Sequence[str],
+    restart: bool,
+    overwrite: bool,
+    figure: Figure | None,
+    ranks: int,
+) -> tuple[Case, Result | None]:
+    """Return the case, and the result of the run that it goes on with, if any. On one rank.
+
+    Raises
+    ------
+    InputError : all that is wrong.
+    """
+    faults: list[str] = []
+
+    def tried(check: Callable[..., Any], *words: Any) -> Any:
+        try:
+            return check(*words)
+        except InputError as error:
+            faults.extend(error.faults)
+
+    case = tried(_read, path, overrides, ranks)
+    before = tried(_interrupted, path, output, case, restart, overwrite)
+    if figure is not None:
+        tried(figure.check, case.output if case is not None else None)
+    if faults:
+        raise InputError(*faults)
+    return case, before
+
+
+def _read(path: Path, overrides: Sequence[str], ranks: int) -> Case:
+    case = read_case(path, overrides)
+    check_case(case, ranks, str(path))
+    return case
+
+
+def _interrupted(
+    path: Path, output: Path, case: Case | None, restart: bool, overwrite: bool
+) -> Result | None:
+    """Return the result to go on with; refuse to lose one that was interrupted, or another file.
+
+    A run that is complete, or that failed, is replaced without a question.
+    """
+    if restart and overwrite:
+        raise InputError("--restart, --overwrite: must be one of them, to go on or to start anew")
+    check_writable(output)
+    if output.exists() and path.exists() and output.samefile(path):
+        raise InputError(f"{output}: is the case file itself; must be another name")
+    if output.suffix and output.suffix not in _ENDINGS:
+        raise InputError(
+            f"{output}: its ending must be one of {', '.join(_ENDINGS)}; ringwear export writes "
+            "tables of results"
+        )
+    if case is None or overwrite or not output.exists():
+        return None
+    try:
+        before = open_result(output)
+    except InputError as error:
+        raise InputError(
+            f"{error}; must be one (--restart), another name, or be replaced by --overwrite"
+        ) from error
+    about = before.attributes
+    if not restart and (about["status"] == "complete" or about["error"]):
+        return None
+    fault = _difference(before, case)
+    if restart and not fault:
+        return before
+    if not restart:
+        steps = restored(before).progress.steps[0]
+        fault = f"holds a run that was interrupted after step {steps}; " + (
+            "it is one of another case, and --overwrite replaces it"
+            if fault
+            else "--restart continues it, --overwrite starts anew"
+        )
+    raise InputError(f"{output}: {fault}")
+
+
+def _difference(before: Result, case: Case) -> str:
+    """Return why a stored run cannot go on to the end of a case, "" if it can.
+
+    Keys are compared as they are written, since to read a stored case is to run the laws in it.
+    """
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    if (version := before.attributes["version"]) != __version__:
+        return f"was computed by version {version}, this is {__version__}; --restart needs the same"
+    if before.user_laws != law_sources(case):
+        return (
+            "was computed with another wear law in a Python file than there is now; --restart "
+            "needs the same"
+        )
+    if _continued(before.case) != _continued(case.stored_text):
+        return (
+            f"holds another case; --restart needs the same case, only {growing} and limits in "
+            "[stop] may change"
+        )
+    reached = float(restored(before).state.time[0])
+    if reached > case.time.end * (1.0 + SAME_TIME):
+        return (
+            f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
+            "long with --restart"
+        )
+    return ""
+
+
+def _continued(text: str) -> dict[str, Any]:
+    """Return those keys of a case that must be the same where a run goes on."""
+    free = ("title", "time.end", "time.steps")
+    keys = read_keys(text).items()
+    return {k: value for k, value in keys if k not in free and not k.startswith("stop.")}
+
+
+# -- a history under way ---------------------------------------------------------------------------
 
 
 class Run:
     """A history under way and its file: an observer in which ranks meet after every step.
 
-    They write a checkpoint where one is due, and stop where one of them has received a signal.
-    Calls are collective on comm, and answered alike on all ranks.
+    They write a checkpoint where one is due, and stop where one of them has received a signal: from
+    the first state on after a step, before it at once. Calls are collective on comm, and answered
+    alike on all ranks.
+
+    Parameters
+    ----------
+    announced : whether to say that a file is replaced, once there is a state.
     """
 
-    def __init__(self, case: Case, output: Path, recorder: Recorder, comm: MPI.Comm) -> None:
+    def __init__(
+        self, case: Case, output: Path, recorder: Recorder, comm: MPI.Comm, announced: bool
+    ) -> None:
         self.case, self.output, self.recorder, self.comm = case, output, recorder, comm
-        self.signals = StopSignals()
+        self.signals, start = StopSignals(), recorder.start
+        since = 0.0 if start is None else float(start.state.time[0])
+        self.progress = Progress(case.time.end, since) if comm.rank == 0 else None
         #: the signal that the ranks agreed to stop for, or 0
         self.agreed = 0
-        start = recorder.start
+        self._announced = announced and comm.rank == 0
         #: steps that the file holds, None for none
         self._steps = None if start is None else int(start.progress.steps[0])
         #: when the last checkpoint was tried, and whether it was written
@@ -123,6 +239,16 @@ class Run:
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Return whether to stop after this state. Collective."""
+        if not self.signals.noted:
+            if self._announced:
+                announce_replacement(self.output)
+            self.signals.__enter__()
+        if self.progress is not None:
+            self.progress.show(
+                float(snapshot.state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
+                snapshot.progress.steps[0], snapshot.state.time[0], self.case.time.end,
+                snapshot.state.contact.approach[0],
+            )  # fmt: skip
         if snapshot.passing or snapshot.step is None:
             return False
         due = self.comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
@@ -164,28 +290,45 @@ class Run:
             raise ComputationError(f"{before}{failure}; {stored}") from failure
 
 
-def _step(run: Run, path: Path, observers: list[Callable[[Snapshot], bool]]) -> None:
-    """Step a history to its end, or until an observer stops it. Collective.
+def _compute(run: Run, path: Path) -> None:
+    """Step a history to its end or to a signal, write it, and print what came of it. Collective."""
+    case, output, recorder, first = run.case, run.output, run.recorder, run.comm.rank == 0
+    if (start := recorder.start) is not None and first:
+        steps, reached = start.progress.steps[0], start.state.time[0]
+        log.info("continuing %s after step %d (%g s)", output, steps, reached)
+    with ExitStack() as cleanup:
+        cleanup.push(run.signals)
+        _step(run, path)
+        result = run.save_at_end()
+        if first:
+            file, page = (shlex.quote(str(p)) for p in (output, output.with_suffix(".html")))
+            report = f"ringwear report {file} -o {page}"
+            after = report if recorder.finished else "the same command with --restart"
+            written = f"{output} ({counted(len(result.step), 'state')})"
+            print(result.summary(), *labelled([("written", written), ("next", after)]), sep="\n")
+        last = recorder.last
+        with together(run.comm):
+            if last is not None and not recorder.finished:
+                steps, reached = int(last.progress.steps[0]), float(last.state.time[0])
+                how_far = f"(at {reached:g} of {case.time.end:g} s)"
+                raise ComputationError(
+                    f"stopped by {name_of(run.agreed)} after step {steps} "
+                    f"{how_far if case.time.adaptive else f'of {case.time.steps}'}; {output} holds "
+                    "them, and the same command with --restart continues"
+                )
+
+
+def _step(run: Run, path: Path) -> None:
+    """Step a history to its end, or until it is stopped. Collective.
 
     Where a step fails, the steps before it are in the file.
     """
-    case, recorder, comm, end = run.case, run.recorder, run.comm, run.case.time.end
-    with ExitStack() as resources:
-        if comm.rank == 0:
-            since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
-            progress = resources.enter_context(closing(Progress(end, since)))
-
-            def show(snapshot: Snapshot) -> bool:
-                reached = float(snapshot.state.time[0])
-                progress.show(
-                    reached, "step %d, time %.6g of %.6g s, approach %.6f mm",
-                    snapshot.progress.steps[0], reached, end, snapshot.state.contact.approach[0],
-                )  # fmt: skip
-                return False
-
-            observers.append(show)
+    case, recorder, comm = run.case, run.recorder, run.comm
+    with ExitStack() as cleanup:
+        if run.progress is not None:
+            cleanup.enter_context(closing(run.progress))
         try:
-            simulate_one(case, comm, start=recorder.start, observers=observers)
+            simulate_one(case, comm, start=recorder.start, observers=[recorder, run])
         except RingwearError as error:
             for warning in implausible_numbers(case) if comm.rank == 0 else ():
                 if f"{warning.keys[0]} = " not in str(error):
@@ -199,23 +342,3 @@ def _step(run: Run, path: Path, observers: list[Callable[[Snapshot], bool]]) -> 
                 f"{path}: {error}. {run.output} holds the steps before it: ringwear plot and "
                 "report show how it came to that"
             ) from error
-
-
-def _draw(output: Path, figure: Figure | None, comm: MPI.Comm) -> None:
-    if figure is not None:
-        on_first_rank(comm, lambda: figure.draw(output))
-
-
-def _lines(result: Result, output: Path, recorder: Recorder, verbose: bool) -> list[str]:
-    """Return the lines about a run and its file, and about the command to type next."""
-    lines = [result.summary(verbose=verbose)]
-    if verbose:
-        names = ("assembly", "factorisation", "stepping", "output")
-        seconds = recorder.seconds()
-        parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-        lines.append(f"seconds: {parts}")
-    file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
-    report = f"ringwear report {file} -o {page}"
-    after = report if recorder.finished else "the same command with --restart"
-    written = f"{output} ({counted(len(result.step), 'state')})"
-    return [*lines, *labelled([("written", written), ("next", after)])]

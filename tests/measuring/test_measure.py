@@ -268,10 +268,10 @@ def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     assert [row["test"] for row in rows] == ["W1", "W2", "W3", "W4"]
     value = float(rows[0]["specific wear rate / mm3/(N m)"])
     assert value == pytest.approx(stored["tests"]["W1"]["specific_wear_rate"]["value"], rel=1e-5)
-    export(tmp_path / "out", tmp_path / "out.csv", "comma")
-    header, first, *_ = csv.reader((tmp_path / "out.csv").read_text().splitlines(), delimiter=";")
+    export(tmp_path / "out", tmp_path / "out.csv")
+    header, first, *_ = csv.reader((tmp_path / "out.csv").read_text().splitlines())
     assert header == list(rows[0])
-    friction = float(first[header.index("friction / 1")].replace(",", "."))
+    friction = float(first[header.index("friction / 1")])
     assert friction == pytest.approx(float(rows[0]["friction / 1"]), rel=1e-5)
 
 

@@ -76,7 +76,7 @@ def test_sweeps_have_those_of_runs(case, tmp_path):
             assert float(rows[i][name]) == float(data[name][i])
     assert data.mass_lost_lower.attrs["units"] == "mg"
     out = tmp_path / "out.csv"
-    assert main(["export", str(tmp_path / "out"), "-o", str(out), "--decimal", "comma"]) == 0
-    (row, *_) = csv.DictReader(out.read_text().splitlines(), delimiter=";")
-    assert row["load.omega (rad/s)"] == "1,0"
-    assert float(row["mass_lost_lower (mg)"].replace(",", ".")) == float(data.mass_lost_lower[0])
+    assert main(["export", str(tmp_path / "out"), "-o", str(out)]) == 0
+    (row, *_) = csv.DictReader(out.read_text().splitlines())
+    assert row["load.omega (rad/s)"] == "1.0"
+    assert float(row["mass_lost_lower (mg)"]) == float(data.mass_lost_lower[0])

@@ -148,8 +148,6 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
         == (result.layers["worn_volume_lower_layers"][-1, 2])
     )
     assert float(rows[-1]["share_through_lower"]) == result.layers["share_through_lower"][-1]
-    export(result, tmp_path / "line.csv", fields=True)
-    assert "layer_left_lower (mm)" in (tmp_path / "line.csv").read_text().splitlines()[0]
     wear, through = plot(result, "wear,through").axes
     drawn = [line.get_ydata() for line in through.lines]
     np.testing.assert_allclose(drawn[0], 100.0 * result.layers["share_through_lower"])

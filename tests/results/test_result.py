@@ -17,15 +17,7 @@ import ringwear_par as rw
 from ringwear_par.results.files import open_result
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
 from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, schedule_of
-from ringwear_par.results.variables import (
-    EDGE_ELEMENT,
-    ELEMENT,
-    HISTORIES,
-    LINE,
-    PROFILES,
-    STEP,
-    STEPS_MADE,
-)
+from ringwear_par.results.variables import EDGE_ELEMENT, PROFILES, VARIABLES
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 FIELDS = ["mesh.contact_elements=16", "time.end=20", "output.times=[5, 10]"]
@@ -71,9 +63,7 @@ def test_the_dataset_is_that_of_the_file(computed, case, words):
     xarray.testing.assert_identical(stored, dataset)
     xarray.testing.assert_identical(stored, open_result(path).to_xarray())
     numbers = {name: number.variable for name, number in LABORATORY_NUMBERS.items()}
-    fields = {**PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT}
-    table = {**HISTORIES, **LINE, **numbers, **fields, "step": STEP, "element": ELEMENT,
-             "steps_made": STEPS_MADE}  # fmt: skip
+    fields, table = {**PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT}, {**VARIABLES, **numbers}
     for name, values in stored.variables.items():
         variable = table[name]
         assert values.dtype == variable.dtype == dataset.variables[name].dtype
