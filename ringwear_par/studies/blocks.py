@@ -47,7 +47,7 @@ class Block:
 
 def blocks_of(study: Study, folder: Path) -> list[Block]:
     """Return the blocks of a study in the folder of a sweep, the same on all ranks."""
-    first = study.a_case()
+    first = study.case(study.first)
     elements = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
     n = elements / 318.0  # to which the seconds are: all pairs of elements, and their factors
     assembly = 0.03 + 0.04 * n**2 + 0.006 * n**3
