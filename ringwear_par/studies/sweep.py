@@ -9,7 +9,7 @@ import fcntl
 import logging
 import shutil
 import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -110,9 +110,7 @@ def sweep(
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    summary = _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
-    _refuse_failures(summary, Path(folder), comm)
-    return summary
+    return _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
 
 
 def run_sweep(
@@ -128,18 +126,8 @@ def run_sweep(
     work = _prepared(study, folder, comm, ranks_per_case, retry_failed)
     if dry_run:
         print(_estimate(work))
-        return
-    summary = _complete(work)
-    print(summary)
-    _refuse_failures(summary, folder, comm)
-
-
-def _refuse_failures(summary: Summary, folder: Path, comm: MPI.Intracomm) -> None:
-    if summary.failed:
-        counts = f"{summary.failed} of {summary.total} cases failed"
-        error = ComputationError(f"{counts}; {folder / TABLE} says why of each")
-        error.ranks = comm.size
-        raise error
+    else:
+        _complete(work, print)
 
 
 # -- before any work -------------------------------------------------------------------------------
@@ -198,52 +186,52 @@ def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
 # -- work ------------------------------------------------------------------------------------------
 
 
-def _complete(work: _Work) -> Summary:
-    """Compute the blocks that are not there, and merge once all are. Collective on work.comm."""
-    comm, started, computed, busy = work.comm, time.perf_counter(), 0, 0.0
+def _complete(work: _Work, say: Callable[[Summary], None] = lambda _: None) -> Summary:
+    """Compute the blocks that are not there, merge them, and say how many failed.
+
+    Collective on work.comm.
+
+    Raises
+    ------
+    ComputationError : cases failed, or the disk.
+    """
+    comm, started, computed = work.comm, time.perf_counter(), 0
     try:
         while True:
             if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
-                cases, seconds = _compute(work)
-                computed, busy = computed + cases, busy + seconds
+                computed += comm.allreduce(_compute(work))
             if on_first_rank(comm, lambda: _merge(work)):
                 break
     except KeyboardInterrupt as signal:
         raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {_goes_on(work)}") from None
     seconds = time.perf_counter() - started
-    computed, busy = comm.allreduce(computed), comm.allreduce(busy)
-    peak = 1e-6 * comm.allreduce(peak_memory(), MPI.MAX)
-    line = (
-        f"{computed} computed in {duration(seconds)}, ranks: {comm.size}: "
-        f"{computed / seconds:.3g} a second, {100.0 * busy / (seconds * comm.size):.0f} % of the "
-        f"time in blocks; peak memory of a rank {peak:.0f} MB"
-    )
-    return on_first_rank(comm, lambda: _summary(work.folder, computed, line))
+    summary = on_first_rank(comm, lambda: _summary(work, computed, seconds))
+    say(summary)
+    if summary.failed:
+        counts = f"{summary.failed} of {summary.total} cases failed"
+        error = ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
+        error.ranks = comm.size
+        raise error
+    return summary
 
 
-def _compute(work: _Work, most: float = np.inf) -> tuple[int, float]:
+def _compute(work: _Work, most: float = np.inf) -> int:
     """Compute free blocks, at most so many a team, until no rank finds any more.
 
-    Collective on work.comm.
-
-    Returns
-    -------
-    computed, busy : cases that this team computed, counted on its first rank, and their time, s.
+    Return how many cases, 0 on all ranks of a team but its first. Collective on work.comm.
     """
     comm, ranks = work.comm, work.ranks_per_case
     team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
     progress = Progress(len(work.blocks), work.before) if comm.rank == 0 else None
     pairs: dict[Hashable, ContactPair] = {}
     error: RingwearError | None = None
-    computed, busy, started = 0, 0.0, time.perf_counter()
+    computed, started = 0, time.perf_counter()
     try:
         with closing(free_blocks(work.blocks, share, shares)) as free:
             while most > 0 and (block := on_first_rank(team, lambda: next(free, None))) is not None:
-                begun = time.perf_counter()
                 arrays = compute(work.study, block, pairs, team)
                 on_first_rank(team, partial(write_block, block.path, arrays))
-                computed += len(block.numbers) if team.rank == 0 else 0
-                busy, most = busy + time.perf_counter() - begun, most - 1
+                computed, most = computed + len(block.numbers), most - 1
                 if progress is not None and progress.is_due():
                     done, count = there(work.blocks), len(work.blocks)
                     pace = (time.perf_counter() - started) / max(done - work.before, 1)
@@ -252,13 +240,14 @@ def _compute(work: _Work, most: float = np.inf) -> tuple[int, float]:
     except RingwearError as failure:  # of the disk: others go on as long as they can
         error = failure
     finally:
+        first = team.rank == 0
         team.Free()
-    if progress is not None:
-        progress.close()
+        if progress is not None:
+            progress.close()
     errors = [failure for failure in comm.allgather(error) if failure is not None]
     if errors:
         raise _incomplete(work, errors[0])
-    return computed, busy
+    return computed if first else 0
 
 
 def _goes_on(work: _Work) -> str:
@@ -305,19 +294,22 @@ def _merge(work: _Work) -> bool:
 # -- what is said ----------------------------------------------------------------------------------
 
 
-def _summary(folder: Path, computed: int, line: str) -> Summary:
-    """Return what the results in a folder say of their cases. On one rank."""
-    with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
+def _summary(work: _Work, computed: int, seconds: float) -> Summary:
+    """Return what the results say of their cases. On one rank."""
+    with reading(work.folder / RESULTS, SOFTWARE, FILE_KIND) as file:
         status, flags = file["status"][:], file["flags"][:]
         worst = float(np.nanmax(file["imbalance"][:], initial=0.0))
     total, failed = len(status), int((status == b"failed").sum())
     lines = [f"cases: {total}, {total - failed} done, {failed} failed"]
-    lines += [line] if computed else []
+    if computed:
+        rate = f"{computed / seconds:.3g} a second"
+        lines.append(f"{computed} computed in {duration(seconds)}, {rate}; ranks: {work.comm.size}")
     lines.append(f"largest error of balances (force, volume, energy, KKT): {worst:.1e}")
     words, counts = np.unique(flags[flags != b""], return_counts=True)
-    flagged = {split_flags(w.decode()): n for w, n in zip(words, counts.tolist(), strict=True)}
-    lines += [count_flags(flagged)] if flagged else []
-    lines.append(f"{folder / TABLE}, {folder / RESULTS}")
+    if len(words):
+        flagged = zip((split_flags(word.decode()) for word in words), counts.tolist(), strict=True)
+        lines.append(count_flags(dict(flagged)))
+    lines.append(f"{work.folder / TABLE}, {work.folder / RESULTS}")
     return Summary(total, total - failed, failed, computed, "\n".join(lines))
 
 
@@ -327,21 +319,18 @@ def _estimate(work: _Work) -> str:
     Collective on work.comm.
     """
     comm, blocks, teams = work.comm, work.blocks, work.comm.size // work.ranks_per_case
-    lines = [
-        f"{counted(len(work.study), 'case')} in {counted(len(blocks), 'block')}, "
-        f"{work.before} there already"
-    ]
+    cases, count = counted(len(work.study), "case"), counted(len(blocks), "block")
+    text, started = f"{cases} in {count}, {work.before} there already", time.perf_counter()
     if on_first_rank(comm, lambda: is_merged(work.folder, blocks)):
-        return lines[0]
-    done, seconds = comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
-    if done:
-        left = len(blocks) - work.before - 1
-        path = next(block.path for block in blocks if block.path.exists())
-        disk = 1.4e-6 * path.stat().st_size / done * len(work.study)
-        lines += [
-            f"one block of {done} cases took {duration(seconds)}; it stays in {path.parent}",
-            f"the other {counted(left, 'block')} on {counted(comm.size, 'rank')}: about "
-            f"{duration(float(f'{seconds * -(-left // teams):.2g}'))}, "
-            f"{1e-6 * peak_memory():.0f} MB of memory a rank, {disk:.3g} MB on disk",
-        ]
-    return "\n".join(lines)
+        return text
+    done = comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
+    if not done:
+        return text
+    seconds, left = time.perf_counter() - started, len(blocks) - work.before - 1
+    others = duration(float(f"{seconds * -(-left // teams):.2g}"))
+    return (
+        f"{text}\none block of {done} cases took {duration(seconds)}; it stays in "
+        f"{work.folder / FOLDER}\nthe other {counted(left, 'block')} on "
+        f"{counted(comm.size, 'rank')}: about {others}; memory of a rank: "
+        f"{1e-6 * peak_memory():.0f} MB"
+    )

@@ -121,13 +121,13 @@ def computed(
     """
     done, stresses = [], _stresses(comm)
     for numbers in groups_of(cases):
-        chosen = _some(cases, numbers)
+        chosen = [cases[number] for number in numbers]
         recorder = Recorder(chosen, comm, stresses=stresses, results=results)
         outcome = simulate(
-            chosen, comm, pair=_some(pairs, numbers), observers=[recorder],
+            chosen, comm, pair=[pairs[number] for number in numbers], observers=[recorder],
             most_together=_side_by_side(chosen),
-            step_times=None if step_times is None else _some(step_times, numbers),
-            paces=None if paces is None else _some(paces, numbers),
+            step_times=_some(step_times, numbers),
+            paces=_some(paces, numbers),
         )  # fmt: skip
         done.append(Computed(tuple(numbers), recorder, outcome.failures))
     return done
@@ -167,7 +167,7 @@ def computed_with_pairs(
             groups[operator_key(case)].append(number)
     parts: list[Computed] = []
     for key, numbers in groups.items():
-        chosen: list[Any] = _some(cases, numbers)
+        chosen: list[Any] = [cases[number] for number in numbers]
         try:
             if key not in pairs:
                 check_memory(chosen[0], comm.size, "case")
@@ -183,20 +183,20 @@ def computed_with_pairs(
                     pairs[key] = assemble(chosen[0], comm)
             done = computed(
                 chosen, [pairs[key]] * len(chosen), comm, results=results,
-                step_times=None if step_times is None else _some(step_times, numbers),
-                paces=None if paces is None else _some(paces, numbers),
+                step_times=_some(step_times, numbers),
+                paces=_some(paces, numbers),
             )  # fmt: skip
         except InputError:
             raise
         except Exception as error:  # the same for all of them
             errors |= dict.fromkeys(numbers, error)
             continue
-        parts += [replace(part, numbers=tuple(_some(numbers, part.numbers))) for part in done]
+        parts += [replace(part, numbers=tuple(numbers[i] for i in part.numbers)) for part in done]
     return parts, errors
 
 
-def _some(values: Sequence[T], numbers: Sequence[int]) -> list[T]:
-    return [values[number] for number in numbers]
+def _some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
+    return None if values is None else [values[number] for number in numbers]
 
 
 def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses | None]:
