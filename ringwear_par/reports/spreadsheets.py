@@ -16,9 +16,8 @@ from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.export import export as export_run
 from ringwear_par.results.export import titled
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.end_values import end_value_of
+from ringwear_par.studies.end_values import end_value_of, meaning_of
 from ringwear_par.studies.ensemble import RESULTS, Ensemble, join_flags, read_ensemble
-from ringwear_par.studies.stored_variables import entry_label
 from ringwear_par.studies.variations import own_key
 
 _TABLES = (".csv", ".xlsx")
@@ -77,9 +76,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
     columns["status"] = "", "done or failed", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():
-        final, entry = end_value_of(name)
-        at_entry = f"; {entry_label(final.stored, entry)}" if entry else ""
-        columns[name] = final.stored.unit, f"{final.stored.meaning}{at_entry}", values
+        columns[name] = end_value_of(name)[0].stored.unit, meaning_of(name), values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
     flags = [join_flags(flags) for flags in ensemble.flags]
     columns["flags"] = "", "what makes the answer doubtful or ended the case early", flags

@@ -15,9 +15,9 @@ from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.end_values import (
     display_of,
-    end_value_of,
     figure_columns,
     final_name,
+    meaning_of,
 )
 from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
 from ringwear_par.studies.factors import done_cases, raw_words
@@ -28,7 +28,6 @@ from ringwear_par.studies.pictures.effects import (
     index_panels,
 )
 from ringwear_par.studies.pictures.histories import histories
-from ringwear_par.studies.stored_variables import entry_label
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
@@ -86,7 +85,7 @@ def _summary(ensemble: Ensemble) -> list[page.Block]:
     if done.any():
         rows = [
             (
-                _meaning(name),
+                meaning_of(name).replace(", at the last stored step", ""),
                 in_signs(display_of(name).unit),
                 *map(_number, display_of(name).factor * _quantiles(values[done])),
             )
@@ -96,12 +95,6 @@ def _summary(ensemble: Ensemble) -> list[page.Block]:
         header = ("at the end", "unit", "least", "median", "largest")
         blocks.append(page.Table("Final values of all cases", header, rows))
     return blocks
-
-
-def _meaning(name: str) -> str:
-    final, entry = end_value_of(name)
-    at_entry = f"; {entry_label(final.stored, entry)}" if entry else ""
-    return f"{final.stored.meaning.removesuffix(', at the last stored step')}{at_entry}"
 
 
 def _quantiles(values: FloatArray) -> FloatArray:

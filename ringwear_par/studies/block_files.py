@@ -1,6 +1,6 @@
 """The arrays of a block: padded to (cases, ...), and its file, which is there whole or not."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,10 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.errors import InputError, reason_of
 from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
+from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import LINE
+from ringwear_par.studies.end_values import FIELDS, STORED, has_layers
 from ringwear_par.studies.ensemble import SOFTWARE, join_flags
-from ringwear_par.studies.stored_variables import FIELDS, STORED, has_layers
-from ringwear_par.studies.together import Computed
 from ringwear_par.version import __version__
 
 FILE_KIND = "a block of a sweep"
@@ -22,87 +22,96 @@ FILE_KIND = "a block of a sweep"
 PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 #: share of padding above which they are compressed in a block, too, which is gone once it is merged
 _MUCH_PADDING = 0.25
+#: of each case, beside its history
+_NUMBERS = {"steps_stored": int, "elements": int, "seconds": float, "imbalance": float}
 
 
 def arrays_of(
     cases: Sequence[Any],
-    parts: Sequence[tuple[IntArray, Computed]],
+    parts: Sequence[tuple[IntArray, HistoryColumns]],
     errors: Mapping[int, Exception],
 ) -> dict[str, Any]:
-    """Return what is stored of cases but their names: those of parts, and those without."""
+    """Return what is stored of a block's cases, by name, (cases, ...), but their ids.
+
+    Parameters
+    ----------
+    parts : places of cases in the block, and their histories.
+    errors : why the others have none, by place.
+    """
     count = len(cases)
-    status, flags = ["failed"] * count, [""] * count
-    reasons = [reason_of(errors[i]) if i in errors else "" for i in range(count)]
-    arrays: dict[str, Any] = {
-        "steps_stored": np.zeros(count, dtype=np.int64),
-        "elements": np.zeros(count, dtype=np.int64),
-        "seconds": np.zeros(count), "imbalance": np.zeros(count),
-    }  # fmt: skip
-    tables: list[tuple[IntArray, dict[str, Any]]] = []
-    for at, part in parts:
-        columns = part.columns
+    texts = {
+        "status": ["failed"] * count,
+        "error": [reason_of(errors[i]) if i in errors else "" for i in range(count)],
+        "flags": [""] * count,
+    }
+    arrays: dict[str, Any] = {name: np.zeros(count, dtype) for name, dtype in _NUMBERS.items()}
+    tables: list[dict[str, Any]] = []
+    for at, columns in parts:
         rows, line = np.diff(columns.offsets), cases[at[0]].line
         for i, place in enumerate(at.tolist()):
-            status[place], reasons[place] = columns.status[i], columns.reason[i]
-            flags[place] = join_flags(columns.flags[i])
+            texts["status"][place] = columns.status[i]
+            texts["error"][place] = columns.reason[i]
+            texts["flags"][place] = join_flags(columns.flags[i])
         arrays["steps_stored"][at], arrays["elements"][at] = rows, np.where(rows, line.n, 0)
         arrays["seconds"][at], arrays["imbalance"][at] = columns.seconds, columns.imbalance
         stored = np.arange(rows.max(initial=1)) < rows[:, None]
-        tables_of_part = {
-            name: np.broadcast_to(getattr(line, name), (len(rows), line.n)) for name in LINE
-        }
+        tables.append(
+            {n: np.tile(getattr(line, n), (len(rows), 1)) for n in LINE} | {**columns.whole}
+        )
         for group in (columns.histories, columns.layers, columns.stress, columns.profiles):
             for name, values in group.items():
                 table = values = np.asarray(values, dtype=float)
                 if name not in FIELDS or columns.deep:
                     table = np.full((*stored.shape, *values.shape[1:]), np.nan)
                     table[stored] = values
-                tables_of_part[name] = table
-        tables.append((at, {**tables_of_part, **columns.whole}))
-    axes, sizes = axes_of([table for _, of_part in tables for table in of_part.items()])
+                tables[-1][name] = table
+    axes, sizes = axes_of([(n, table.shape) for of_part in tables for n, table in of_part.items()])
     for name, dimensions in axes.items():
-        arrays[name] = np.full((count, *(sizes[axis] for axis in dimensions)), np.nan)
-        for at, of_part in tables:
+        shape = tuple(sizes[axis] for axis in dimensions)
+        arrays[name] = np.full((count, *shape), np.nan)
+        for (at, _), of_part in zip(parts, tables, strict=True):
             if name in of_part:
-                put(name, arrays[name], at, of_part[name], arrays["steps_stored"][at])
-    texts = {"status": status, "error": reasons, "flags": flags}
+                rows = arrays["steps_stored"][at]
+                arrays[name][at] = padded(name, of_part[name], shape, rows)
     return arrays | {name: np.array([t.encode() for t in v]) for name, v in texts.items()}
 
 
 def axes_of(
-    tables: Sequence[tuple[str, Any]],
+    shapes: Iterable[tuple[str, tuple[int, ...]]],
 ) -> tuple[dict[str, tuple[str, ...]], dict[str, int]]:
     """Return the axes but that of cases of variables by name, and the sizes of all axes.
 
-    Such that all of some tables (cases, ...) go into them; fields may be without steps.
+    Such that tables (cases, ...) of these shapes go into them; fields may be without steps.
     """
     axes: dict[str, tuple[str, ...]] = {}
     sizes: dict[str, int] = {}
-    for name, table in tables:
-        dimensions = STORED[name].dimensions[len(STORED[name].dimensions) + 1 - table.ndim :]
+    for name, shape in shapes:
+        dimensions = STORED[name].dimensions[len(STORED[name].dimensions) + 1 - len(shape) :]
         axes[name] = max(axes.get(name, ()), dimensions, key=len)
-        for axis, size in zip(dimensions, table.shape[1:], strict=True):
+        for axis, size in zip(dimensions, shape[1:], strict=True):
             sizes[axis] = max(sizes.get(axis, 0), size)
     return axes, sizes
 
 
-def put(name: str, table: Any, at: IntArray | slice, values: Any, rows: IntArray) -> None:
-    """Put values of some cases into a table (cases, ...) of more cases, steps or elements.
+def padded(name: str, values: Any, shape: tuple[int, ...], rows: IntArray) -> Any:
+    """Return the values of cases, (cases, *shape), NaN where they have fewer states or elements.
 
     Parameters
     ----------
-    at : places of these cases in the table.
-    rows : their stored states; of fields that are stored at the last one only it takes that.
+    rows : (cases,) stored states; fields that are stored at the last one only go there.
     """
-    if has_layers(STORED[name]) and values.shape[-1] < table.shape[-1]:
-        layers = values.shape[-1] - 1
-        put(name, table[..., :layers], at, values[..., :-1], rows)
-        table, values = table[..., -1:], values[..., -1:]  # the body itself is the last
+    if values.shape[1:] == shape:
+        return values
+    table = np.full((len(values), *shape), np.nan)
     cells = tuple(map(slice, values.shape[1:]))
     if values.ndim < table.ndim:
-        table[(np.arange(len(table))[at], rows - 1, *cells)] = values
+        table[(np.arange(len(table)), rows - 1, *cells)] = values
+    elif has_layers(STORED[name]):  # the body itself is the last
+        table[(slice(None), *cells)][..., :-1] = values[..., :-1]
+        table[(slice(None), *cells[:-1], -1)] = values[..., -1]
     else:
-        table[(at, *cells)] = values
+        table[(slice(None), *cells)] = values
+    return table
 
 
 def write_block(path: Path, arrays: Mapping[str, Any]) -> None:

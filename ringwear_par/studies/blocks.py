@@ -12,8 +12,7 @@ an array are all the same; each ends when all blocks are there.
 import fcntl
 import logging
 import time
-from collections import defaultdict
-from collections.abc import Generator, Hashable, Sequence
+from collections.abc import Generator, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,17 +21,11 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.refusals.cases import check_memory, check_mesh
-from ringwear_par.parallel import together
 from ringwear_par.studies.block_files import arrays_of
 from ringwear_par.studies.study import Study
-from ringwear_par.studies.together import Computed, computed, most_together
+from ringwear_par.studies.together import computed_with_pairs, most_together
 
 log = logging.getLogger(__name__)
 
@@ -40,8 +33,6 @@ log = logging.getLogger(__name__)
 FOLDER = "blocks"
 #: s, between two looks whether others have ended, while they are at work on the last blocks
 _SHORTEST_NAP, _LONGEST_NAP = 0.01, 2.0
-#: contact pairs that a rank keeps for its next block
-_MOST_PAIRS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +47,18 @@ class Block:
 
 def blocks_of(study: Study, folder: Path) -> list[Block]:
     """Return the blocks of a study in the folder of a sweep, the same on all ranks."""
-    first = study.a_case()
-    n = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
-    assembly = (
-        0.03 + 0.04 * (n / 318.0) ** 2 + 0.006 * (n / 318.0) ** 3
-    )  # s: n^2 elements, n^3 factors
+    first = study.case(study.first)
+    elements = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
+    n = elements / 318.0  # to which the seconds are: all pairs of elements, and their factors
+    assembly = 0.03 + 0.04 * n**2 + 0.006 * n**3
     size = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
     parts = np.split(study.order, range(size, len(study), size))
     return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part) for part in parts]
+
+
+def there(blocks: Iterable[Block]) -> int:
+    """Return how many blocks are there."""
+    return sum(block.path.exists() for block in blocks)
 
 
 # -- who computes which ------------------------------------------------------------------------
@@ -115,30 +110,6 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
 # -- a block is computed -----------------------------------------------------------------------
 
 
-def pair_of(case: Case, pairs: dict[Hashable, ContactPair], comm: MPI.Comm) -> ContactPair:
-    """Return the contact pair of a case, one of those that are there, or a new one among them.
-
-    Collective on comm.
-
-    Raises
-    ------
-    InputError : an option for PETSc, which no case can do with.
-    Exception : it cannot be assembled.
-    """
-    key = operator_key(case)
-    if key not in pairs:
-        try:
-            check_memory(case, comm.size, "case")
-            check_mesh(case, "case")
-        except InputError as error:
-            raise ComputationError(str(error)) from error
-        while len(pairs) >= _MOST_PAIRS:
-            del pairs[next(iter(pairs))]
-        with together(comm):
-            pairs[key] = assemble(case, comm)
-    return pairs[key]
-
-
 def compute(
     study: Study, block: Block, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
 ) -> dict[str, Any]:
@@ -148,27 +119,10 @@ def compute(
 
     Parameters
     ----------
-    pairs : contact pairs of earlier blocks; some of this one are added.
+    pairs : contact pairs of earlier blocks; those of this one are added.
     """
     cases = study.cases_of(block.numbers)
-    errors: dict[int, Exception] = {
-        i: case for i, case in enumerate(cases) if isinstance(case, InputError)
-    }
-    of_pairs: dict[Hashable, list[int]] = defaultdict(list)
-    for i, case in enumerate(cases):
-        if isinstance(case, Case):
-            of_pairs[operator_key(case)].append(i)
-    parts: list[tuple[IntArray, Computed]] = []
-    for numbers in of_pairs.values():
-        chosen: list[Any] = [cases[i] for i in numbers]
-        try:
-            pair = pair_of(chosen[0], pairs, comm)
-            done = computed(chosen, [pair] * len(chosen), comm)
-        except InputError:
-            raise
-        except Exception as error:  # the same for all of them
-            errors |= dict.fromkeys(numbers, error)
-            continue
-        parts += [(np.array(numbers)[[*part.numbers]], part) for part in done]
+    parts, errors = computed_with_pairs(cases, pairs, comm)
+    histories = [(np.array(part.numbers), part.columns) for part in parts]
     ids = study.ids(block.numbers)
-    return {"case": ids, "number": block.numbers, **arrays_of(cases, parts, errors)}
+    return {"case": ids, "number": block.numbers, **arrays_of(cases, histories, errors)}

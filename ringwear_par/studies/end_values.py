@@ -1,7 +1,11 @@
-"""The end values of a case, in ``cases.csv``, figures and surrogates: names, units, how drawn."""
+"""What a sweep stores: the variables of its cases, and the end values that tables and figures show.
+
+End values are columns of ``cases.csv``, variables ``final_...`` of ``results.h5``, and what
+surrogates answer for.
+"""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -10,30 +14,85 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, LaboratoryNumber
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
     DISPLAY_UNITS,
     HISTORIES,
+    LARGEST_STRESS,
+    LAYER,
     LAYER_HISTORIES,
     LAYER_PROFILES,
     LAYER_STRESS,
     LAYER_VOLUMES,
+    LINE,
+    POINT,
+    POINT_STRESS,
+    POINTS,
+    PROFILES,
     TIMES_THROUGH,
+    UPPER_LAYER,
     Variable,
 )
-from ringwear_par.studies.stored_variables import (
-    BODY,
-    FIELDS,
-    OF_A_CASE,
-    STRESS,
-    axis_of,
-    entry_label,
-    entry_names,
-)
+
+# -- variables of cases ----------------------------------------------------------------------------
+
+#: at the stored states that stress is computed for
+STRESS = {**LARGEST_STRESS, **LAYER_STRESS, **POINT_STRESS}
+#: along the contact line, at each stored state or at the last one
+FIELDS = {**PROFILES, **LAYER_PROFILES}
+#: a number of each case, or one a point
+OF_A_CASE = {
+    **TIMES_THROUGH, **POINTS,
+    **{name: number.at_end() for name, number in LABORATORY_NUMBERS.items()},
+}  # fmt: skip
+#: of a case's history; all but ``HISTORIES`` are of some cases only, padded with NaN in the others
+STORED = {
+    **HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS, **LINE, **FIELDS, **OF_A_CASE,
+}  # fmt: skip
+#: about each case
+OF_CASES = {
+    variable.name: variable
+    for variable in (
+        Variable("case", ("case",), "1", "case, by its content"),
+        Variable("number", ("case",), "1", "number of the case in the design", integer=True),
+        Variable("status", ("case",), "1", "done, failed or incomplete"),
+        Variable("error", ("case",), "1", "why the case failed"),
+        Variable(
+            "flags", ("case",), "1",
+            "what makes the answer doubtful or ended the case early, separated by commas",
+        ),
+        Variable("seconds", ("case",), "s", "wall time of the case"),
+        Variable(
+            "imbalance", ("case",), "1",
+            "worst balance of force, volume, energy or KKT residual of its steps",
+        ),
+        Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
+        Variable("elements", ("case",), "1", "number of contact elements", integer=True),
+    )
+}  # fmt: skip
+
+#: axes other than those of steps and elements, and their coordinates
+AXES = {axis.name: axis for axis in (LAYER, UPPER_LAYER, POINT)}
+#: replaces a layer's number, since cases of a sweep may have other numbers of layers
+BODY = "body"
+
+
+def axis_of(variable: Variable) -> str:
+    """Return the axis of a variable other than steps and elements, "" where it has none."""
+    return next((name for name in variable.dimensions if name in AXES), "")
+
+
+def has_layers(variable: Variable) -> bool:
+    """Tell whether a variable runs over layers; the last number is of the body itself."""
+    return axis_of(variable) in (LAYER.name, UPPER_LAYER.name)
+
+
+# -- end values ------------------------------------------------------------------------------------
 
 #: end values that all cases have
 MAIN_END_VALUES = ("penetration", "worn_volume_lower", "worn_volume_upper")
-_MM3, _UM = "mm\N{SUPERSCRIPT THREE}", "\N{MICRO SIGN}m"
+#: the variable that is finite at the states with stress
+STRESS_STATES = "max_mises"
 _ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
 
 
@@ -49,72 +108,67 @@ class EndValue:
     stored: Variable
     #: whether surrogates answer for it: places of the largest stress jump, numbers of laboratories
     #: follow from others
-    smooth: bool = True
+    smooth: bool
 
-    def of(self, table: FloatArray, last: IntArray) -> FloatArray:
-        """Return values of cases, (cases,) or (cases, layers or points), NaN where there is none.
+    def of(self, tables: Mapping[str, Any]) -> FloatArray:
+        """Return the values of cases, (cases,) or (cases, layers or points), NaN without any.
 
-        By the row ``last`` (cases,), -1 for none, of a table (cases, ...) of its source, padded
-        with NaN.
+        Of their variables, (cases, ...) by name: the last stored row, of stress the last that has
+        some; of fields the least along the contact line.
         """
+        table, last = tables[self.source], tables["steps_stored"] - 1
+        if self.source in STRESS:
+            with_stress = np.isfinite(tables[STRESS_STATES])
+            last = table.shape[1] - 1 - with_stress[:, ::-1].argmax(axis=1)
+            last = np.where(with_stress.any(axis=1), last, -1)
         some = np.flatnonzero(last >= 0)
         if self.source in OF_A_CASE or (self.source in FIELDS and table.ndim == 2):
             rows = table[some]
         else:
             rows = table[some, last[some]]
         if self.source in FIELDS:
-            rows = np.min(rows, axis=-1, where=np.isfinite(rows), initial=np.inf)
-            rows = np.where(np.isfinite(rows), rows, np.nan)
+            least = np.min(rows, axis=-1, where=np.isfinite(rows), initial=np.inf)
+            rows = np.where(np.isfinite(least), least, np.nan)
         values = np.full((len(table), *rows.shape[1:]), np.nan)
         values[some] = rows
         return values
 
 
-def _end_value(name: str, source: Variable, meaning: str = "") -> EndValue:
-    axis = axis_of(source)
-    stored = replace(
-        source, name=f"final_{name}", dimensions=("case", axis) if axis else ("case",),
-        integer=False, meaning=meaning or f"{source.meaning}, at the last stored step",
-    )  # fmt: skip
-    return EndValue(name, source.name, stored)
+def _end_value(source: Variable) -> EndValue:
+    """Return the end value of a variable by what kind it is of."""
+    name, meaning, smooth = source.name, source.meaning, True
+    axes = ("case", axis_of(source)) if axis_of(source) else ("case",)
+    if name in TIMES_THROUGH:
+        return EndValue(name, name, replace(source, dimensions=axes), smooth)
+    when = "at the last stored step"
+    stored = f"final_{name}"
+    if name in STRESS:
+        when, smooth = "at the last time that it is stored of", source.unit == "MPa"
+    elif name in LABORATORY_NUMBERS:
+        stored, smooth = name, False
+    elif name in FIELDS:
+        name, stored, meaning = f"least_{name}", f"final_least_{name}", f"least {meaning}"
+    variable = Variable(stored, axes, source.unit, f"{meaning}, {when}")
+    return EndValue(name, source.name, variable, smooth)
 
 
-def _stress(source: Variable) -> EndValue:
-    meaning = f"{source.meaning}, at the last time that it is stored of"
-    end_value = _end_value(source.name, source, meaning)
-    return replace(end_value, smooth=source.unit == "MPa")
-
-
-def _of_laboratory(number: LaboratoryNumber) -> EndValue:
-    stored, meaning = number.at_end(), number.variable.meaning
-    stored = replace(stored, dimensions=("case",), meaning=f"{meaning}, at the last stored step")
-    return EndValue(stored.name, stored.name, stored, smooth=False)
-
-
-def _of_layers() -> Iterable[EndValue]:
-    bodies = (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)
-    for volumes, share, time, left in zip(*(table.values() for table in bodies), strict=True):
-        yield _end_value(volumes.name, volumes)
-        yield _end_value(share.name, share)
-        yield EndValue(time.name, time.name, replace(time, dimensions=("case",)))
-        least = f"least {left.meaning}, at the last stored step"
-        yield _end_value(f"least_{left.name}", left, least)
-
-
+_BY_BODY = zip(
+    *(table.values() for table in (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)),
+    strict=True,
+)
 #: in the order of the table
 END_VALUES = {
     end_value.name: end_value
-    for end_value in (
-        *(_end_value(name, HISTORIES[name]) for name in MAIN_END_VALUES),
-        *map(_of_laboratory, LABORATORY_NUMBERS.values()),
-        *_of_layers(),
-        *map(_stress, STRESS.values()),
+    for end_value in map(
+        _end_value,
+        (
+            *(HISTORIES[name] for name in MAIN_END_VALUES),
+            *(number.variable for number in LABORATORY_NUMBERS.values()),
+            *(variable for of_a_body in _BY_BODY for variable in of_a_body),
+            *STRESS.values(),
+        ),
     )
 }
-#: by the variable that each is taken of
-BY_SOURCE = {end_value.source: end_value for end_value in END_VALUES.values()}
-#: the variable that is finite at the states with stress
-STRESS_STATES = "max_mises"
 
 
 def end_value_of(name: str) -> tuple[EndValue, str]:
@@ -127,15 +181,13 @@ def entries(end_value: EndValue, values: FloatArray) -> dict[str, FloatArray]:
     """Return numbers of cases by their names, the last axis of those that have one taken apart."""
     if not axis_of(end_value.stored):
         return {end_value.name: values}
-    names = entry_names(end_value.stored, values.shape[-1])
+    names = [str(i) for i in range(values.shape[-1])]
+    if has_layers(end_value.stored):
+        names[-1] = BODY
     return {f"{end_value.name}[{name}]": values[..., i] for i, name in enumerate(names)}
 
 
-def last_with_stress(table: FloatArray) -> IntArray:
-    """Return the last row of each case that has stress in a table (cases, rows), -1 for none."""
-    finite = np.isfinite(table)
-    last: IntArray = table.shape[1] - 1 - finite[:, ::-1].argmax(axis=1)
-    return np.where(finite.any(axis=1), last, -1)
+# -- how they are drawn ----------------------------------------------------------------------------
 
 
 class Display(NamedTuple):
@@ -151,55 +203,40 @@ class Display(NamedTuple):
         return f"{self.name} ({self.unit})"
 
 
-_BODY = {
-    "worn_volume": Display(1.0, "worn volume", _MM3),
-    "share_through": Display(100.0, "share worn through", "%"),
-    "time_through": Display(1.0, "worn through from", "s"),
-    "least_layer_left": Display(1e3, "least left of layers", _UM),
+#: words for names that do not speak for themselves, without their bodies
+_WORDS = {
+    "share_through": "share worn through",
+    "time_through": "worn through from",
+    "least_layer_left": "least left of layers",
+    "max_mises": "largest von Mises stress",
+    "max_mises_r": "its radius",
+    "max_mises_z": "its height",
+    "max_mises_layer": "its layer",
+    "mises": "von Mises stress",
+    "max_shear": "largest shear stress",
 }
-_DISPLAYS = {
-    **{
-        name: Display(
-            1.0,
-            f"{number.label}, {number.group}" if number.group in BODIES else number.label,
-            in_signs(number.variable.unit),
-        )
-        for name, number in LABORATORY_NUMBERS.items()
-    },
-    **{
-        name: Display(factor, name.replace("_", " "), in_signs(unit))
-        for name in MAIN_END_VALUES
-        for unit, factor in [DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))]
-    },
-    "max_mises": Display(1.0, "largest von Mises stress", "MPa"),
-    "max_mises_r": Display(1.0, "its radius", "mm"),
-    "max_mises_z": Display(1.0, "its height", "mm"),
-    "max_mises_layer": Display(1.0, "its layer", "1"),
-    "mises": Display(1.0, "von Mises stress", "MPa"),
-    "max_shear": Display(1.0, "largest shear stress", "MPa"),
-    **{
-        f"{name}_{body}": display._replace(name=f"{display.name}, {body}")
-        for name, display in _BODY.items()
-        for body in ("lower", "upper")
-    },
-    **{
-        name: display._replace(name=f"{display.name}, {body}")
-        for table, display in (
-            (LAYER_VOLUMES, Display(1.0, "worn volume", _MM3)),
-            (LAYER_STRESS, Display(1.0, "largest von Mises stress", "MPa")),
-        )
-        for name, body in zip(table, ("lower", "upper"), strict=True)
-    },
-}
+_UNITS = DISPLAY_UNITS | {"share_through": ("%", 100.0), "least_layer_left": ("um", 1e3)}
+
+
+def _entry_words(end_value: EndValue, entry: str) -> str:
+    """Return the words for one of the numbers of an end value with layers or points."""
+    axis = axis_of(end_value.stored).removesuffix("_upper")
+    return "the body itself" if entry == BODY else f"{axis} {entry}"
 
 
 def display_of(name: str) -> Display:
-    """Return how a number is drawn."""
+    """Return how a number is drawn: its name, then its body, then its entry."""
     end_value, entry = end_value_of(name)
-    display = _DISPLAYS[end_value.name]
-    if not entry:
-        return display
-    return display._replace(name=f"{display.name}, {entry_label(end_value.stored, entry)}")
+    words = end_value.name.removesuffix("_layers")
+    body = words.rpartition("_")[2]
+    body = body if body in BODIES else ""
+    words = words.removesuffix(f"_{body}")
+    unit, factor = _UNITS.get(words, (end_value.stored.unit, 1.0))
+    if number := LABORATORY_NUMBERS.get(end_value.name):
+        words = number.label
+    parts = [_WORDS.get(words, words.replace("_", " ")), body]
+    parts.append(_entry_words(end_value, entry) if entry else "")
+    return Display(factor, ", ".join(filter(None, parts)), in_signs(unit))
 
 
 def final_name(name: str) -> str:
@@ -207,7 +244,14 @@ def final_name(name: str) -> str:
     return f"final {display_of(name).name}"
 
 
-def figure_columns(final: Mapping[str, Any], cases: Any) -> list[str]:
+def meaning_of(name: str) -> str:
+    """Return what a column of the table is."""
+    end_value, entry = end_value_of(name)
+    meaning = end_value.stored.meaning
+    return f"{meaning}; {_entry_words(end_value, entry)}" if entry else meaning
+
+
+def figure_columns(final: Mapping[str, Any], cases: IntArray) -> list[str]:
     """Return the numbers of some cases that figures draw.
 
     Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where

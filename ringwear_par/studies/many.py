@@ -15,8 +15,7 @@ from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.studies.blocks import pair_of
-from ringwear_par.studies.together import computed, most_together
+from ringwear_par.studies.together import computed_with_pairs, most_together
 from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
@@ -100,29 +99,17 @@ def results_of(
 
     def computed_block(numbers: Sequence[int]) -> list[Result | FailedResult]:
         """Return the results of cases of a contact pair, by this rank alone."""
-        found: dict[int, Result | Exception] = {}
-        good: list[int] = []
-        for number in numbers:
-            try:
-                check_case(cases[number], 1, "case", known_mesh=bool(good))
-                good.append(number)
-            except Exception as error:
-                found[number] = error
-        try:
-            parts = computed(
-                [cases[number] for number in good],
-                [pair_of(cases[good[0]], pairs, MPI.COMM_SELF)] * len(good) if good else [],
-                results=True,
-                step_times=None if step_times is None else [step_times[n] for n in good],
-                paces=None if paces is None else [paces[n] for n in good],
-            )  # fmt: skip
-            for part in parts:
-                found.update(zip((good[i] for i in part.numbers), part.results(), strict=True))
-        except Exception as error:  # the same for all of them
-            found.update(dict.fromkeys(good, error))
+        parts, errors = computed_with_pairs(
+            [_checked(cases[n]) for n in numbers], pairs, MPI.COMM_SELF, results=True,
+            step_times=None if step_times is None else [step_times[n] for n in numbers],
+            paces=None if paces is None else [paces[n] for n in numbers],
+        )  # fmt: skip
+        results: dict[int, Result | Exception] = {**errors}
+        for part in parts:
+            results.update(zip(part.numbers, part.results(), strict=True))
         return [
             _failed(cases[number], result) if isinstance(result, Exception) else result
-            for number, result in ((number, found[number]) for number in numbers)
+            for number, result in ((number, results[i]) for i, number in enumerate(numbers))
         ]
 
     results: dict[int, Result | FailedResult] = {}
@@ -133,6 +120,15 @@ def results_of(
         part = comm.bcast(part, i % comm.size) if comm.size > 1 else part
         results.update(zip(numbers, part or (), strict=True))
     return [results[number] for number in range(len(cases))]
+
+
+def _checked(case: Case) -> Case | Exception:
+    """Return a case, or why it cannot be computed."""
+    try:
+        check_case(case, 1, "case", known_mesh=True)  # its contact pair is checked with its mesh
+    except Exception as error:
+        return error
+    return case
 
 
 def _failed(case: Case, error: Exception) -> FailedResult:

@@ -1,26 +1,28 @@
-"""The results of a sweep, ``results.h5`` and ``cases.csv``: all blocks merged, window by window.
+"""The results of a sweep, ``results.h5`` and ``cases.csv``: all blocks, one after the other.
 
-Cases are in the order of the design. Histories shorter than the longest, and contact lines of fewer
-elements than the finest, are padded with NaN; ``steps_stored`` and ``elements`` say how much is
-there. Both files appear by rename. No more than a window of cases is in memory.
+Cases are in the order of their blocks, which is that of the design where only numbers vary;
+``number`` is their place in the design. Histories shorter than the longest, and contact lines of
+fewer elements than the finest, are padded with NaN; ``steps_stored`` and ``elements`` say how much
+is there. Both files appear by rename. No more than a block is in memory.
 """
 
 import csv
 import hashlib
-import io
 import math
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.arrays import IntArray
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.text import toml_value
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
+from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     ELEMENT,
@@ -29,32 +31,37 @@ from ringwear_par.results.variables import (
     Variable,
     edge_elements,
 )
-from ringwear_par.studies.block_files import PACKED, axes_of, opened, put
+from ringwear_par.studies.block_files import PACKED, axes_of, opened, padded
 from ringwear_par.studies.blocks import Block
-from ringwear_par.studies.end_values import (
-    BY_SOURCE,
-    END_VALUES,
-    STRESS_STATES,
-    entries,
-    last_with_stress,
-)
-from ringwear_par.studies.ensemble import RESULTS, SOFTWARE, TABLE
-from ringwear_par.studies.stored_variables import AXES, OF_CASES, STORED, STRESS, over_cases
+from ringwear_par.studies.end_values import AXES, END_VALUES, OF_CASES, STORED, entries
+from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE
 from ringwear_par.studies.study import Study
 from ringwear_par.studies.variations import own_key
 from ringwear_par.version import versions
 
-#: bytes of the cases that are in memory, and most of them; bytes of a chunk of a variable
-WINDOW_BYTES, _MOST, _CHUNK_BYTES = 16e6, 4096, 256e3
-_ID = Variable("case", ("case",), "1", "case, by its content")
+#: bytes of a chunk of a variable
+_CHUNK_BYTES = 256e3
+#: bytes that results may take more than their blocks, as a part of these, and in all
+_MORE, _MORE_BYTES = 0.2, 1e6
 _STATE = Variable("step", ("step",), "1", "stored state of each case", integer=True)
 #: with which xarray takes bytes for the texts that they are
 _ENCODED = {"_Encoding": "utf-8"}
+#: the variables of a results file by name, with their types
+_Variables = dict[str, tuple[Variable, Any]]
 
 
 def fingerprint(blocks: Sequence[Block]) -> str:
     """Return the name of all blocks of a study together."""
     return hashlib.sha256("".join(block.path.stem for block in blocks).encode()).hexdigest()[:16]
+
+
+def is_merged(folder: Path, blocks: Sequence[Block]) -> bool:
+    """Tell whether the results of these blocks are in a folder. On one rank."""
+    try:
+        with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
+            return bool(file.attrs.get("blocks") == fingerprint(blocks))
+    except InputError:
+        return False
 
 
 def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> None:
@@ -63,181 +70,150 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
     Raises
     ------
     DamagedError : a block is not whole.
+    ComputationError : there is not enough space for them.
     OSError, UnreadableError : the disk.
     """
-    layout = _Layout.of(study, blocks)
-    count, window = len(study), layout.window
+    needed = (1.0 + _MORE) * sum(block.path.stat().st_size for block in blocks) + _MORE_BYTES
+    if (free := shutil.disk_usage(folder).free) < needed:
+        raise ComputationError(
+            f"{folder}: the disk is too full for the results: {1e-6 * free:.0f} MB are free, "
+            f"{1e-6 * needed:.0f} MB are needed"
+        )
+    variables, sizes = _variables_of(study, blocks)
     with (
-        atomic_write(folder / TABLE) as rows, atomic_write(folder / RESULTS) as path,
-        rows.open("w", newline="", encoding="utf-8") as table, _Disk(path) as disk,
+        atomic_write(folder / RESULTS) as path, atomic_write(folder / TABLE) as rows,
+        rows.open("w", newline="", encoding="utf-8") as table,
+        h5py.File(path, "w", libver=("v110", "v110")) as file,
     ):  # fmt: skip
-        with h5py.File(disk, "w", libver=("v110", "v110")) as file:
-            layout.make(file)
-            for first in range(0, count, window):
-                numbers = np.arange(first, min(first + window, count))
-                values = layout.read(numbers)
-                for name, array in values.items():
-                    file[name][first : first + len(array)] = array
-                _write_rows(table, study, numbers, values)
-                disk.check()
-            file.attrs.update(
-                software=SOFTWARE, study=study.text, case=study.base_text, method=study.method,
-                coordinates=" ".join(study.names), status="complete", ranks=ranks,
-                blocks=fingerprint(blocks), **versions(),
-            )  # fmt: skip
-        disk.check()
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """The variables of a results file, and where their values are."""
-
-    study: Study
-    blocks: Sequence[Block]
-    #: those over cases by name, with their types
-    variables: dict[str, tuple[Variable, Any]]
-    #: of the axes by name
-    sizes: dict[str, int]
-    #: (cases,) block of each case, and row in it
-    block: IntArray
-    row: IntArray
-
-    @classmethod
-    def of(cls, study: Study, blocks: Sequence[Block]) -> "_Layout":
-        """Return the layout by the heads of all blocks; raises as ``merge``."""
-        heads: list[tuple[str, Any]] = []
+        _make(file, variables, sizes)
+        data = {name: file[name] for name in variables}  # open: chunks stay until they are full
+        writer, first = csv.writer(table), 0
         for block in blocks:
-            with opened(block.path) as file:
-                heads += [(n, np.empty((0, *d.shape[1:]), d.dtype)) for n, d in file.items()]
-        axes, sizes = axes_of([(name, head) for name, head in heads if name in STORED])
-        sizes = {"step": 1, "element": 1, **sizes, "case": len(study)}
-        number, text = np.dtype(np.float64), h5py.string_dtype
-        variables = {"case": (_ID, text("utf-8", 16))}
-        for name, column in zip(study.names, study.columns, strict=True):
-            unit = study.units()[name] or "1"
-            kind = number
-            if column.numbers is None:
-                kind = text("utf-8", max(len(_cell(v).encode()) for v in column.distinct) or 1)
-            variables[name] = Variable(name, ("case",), unit, own_key(name).meaning), kind
-        for name, dimensions in axes.items():
-            variables[name] = _over_cases(STORED[name], dimensions), number
-        if "pressure" in axes:
-            edge = _over_cases(EDGE_ELEMENT, axes["pressure"])
-            variables[edge.name] = edge, number
-        for source, end_value in BY_SOURCE.items():
-            if source in axes:
-                variables.setdefault(end_value.stored.name, (end_value.stored, number))
-        if POINT_SIDE.name in axes:
-            side = variables[POINT_SIDE.name][0]
-            variables[side.name] = side, text("utf-8", max(map(len, POINT_SIDES)))
-        for name, variable in OF_CASES.items():
-            kinds = [head.dtype for other, head in heads if other == name]
-            kind = max(kinds, key=lambda dtype: dtype.itemsize)
-            kind = text("utf-8", kind.itemsize) if kind.kind == "S" else kind
-            variables[name] = variable, kind
-        at = np.empty(len(study), dtype=np.int64)
-        at[study.order] = np.arange(len(study))
-        return cls(study, blocks, variables, sizes, *np.divmod(at, len(blocks[0].numbers)))
-
-    @property
-    def window(self) -> int:
-        """How many cases to have in memory, a power of 2."""
-        size = sum(kind.itemsize * self._of_a_case(v) for v, kind in self.variables.values())
-        return min(1 << max(int(WINDOW_BYTES / size).bit_length() - 1, 0), _MOST)
-
-    def _of_a_case(self, variable: Variable) -> int:
-        return math.prod(self.sizes[axis] for axis in variable.dimensions[1:])
-
-    def make(self, file: h5py.File) -> None:
-        """Make the axes and the variables, without values."""
-        for axis, size in self.sizes.items():
-            if axis != "case":
-                scale = {"step": _STATE, "element": ELEMENT, **AXES}[axis]
-                file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
-                file[axis].attrs.update(scale.attributes)
-        for name, (variable, kind) in self.variables.items():
-            shape = tuple(self.sizes[axis] for axis in variable.dimensions)
-            chunk = list(shape)
-            for i in range(len(shape)):  # as many whole cases as are small, else parts of one
-                rest = kind.itemsize * math.prod(chunk[i + 1 :])
-                chunk[i] = min(shape[i], max(1, int(_CHUNK_BYTES // rest)))
-            chunk[0] = min(chunk[0], self.window)
-            data = file.create_dataset(
-                name, shape, kind, chunks=tuple(chunk),
-                fillvalue=np.nan if kind.kind == "f" else None, **PACKED,
-            )  # fmt: skip
-            data.attrs.update({**variable.attributes, **(_ENCODED if kind.kind == "S" else {})})
-            if name == "case":
-                data.make_scale(name)
-        for variable, _ in self.variables.values():
-            for i, dimension in enumerate(variable.dimensions):
-                if dimension != variable.name:
-                    file[variable.name].dims[i].attach_scale(file[dimension])
-
-    def read(self, numbers: IntArray) -> dict[str, Any]:
-        """Return the values of some cases, (cases, ...), by name; raises as ``merge``."""
-        tables: dict[str, Any] = {}
-        for name, (variable, kind) in self.variables.items():
-            shape = len(numbers), *(self.sizes[axis] for axis in variable.dimensions[1:])
-            numeric = kind.kind != "S" or name == POINT_SIDE.name
-            fill = np.nan if kind.kind == "f" or name == POINT_SIDE.name else 0
-            tables[name] = np.full(shape, fill) if numeric else np.zeros(shape, kind)
-            if kind.kind == "i":
-                tables[name] = tables[name].astype(kind)
-        for number in np.unique(self.block[numbers]).tolist():
-            at = np.flatnonzero(self.block[numbers] == number)
-            rows = self.row[numbers[at]]
-            low, high = int(rows.min()), int(rows.max()) + 1
-            with opened(self.blocks[number].path) as file:
-                steps = file["steps_stored"][low:high][rows - low]
-                for name, data in file.items():
-                    if name in STORED:
-                        put(name, tables[name], at, data[low:high][rows - low], steps)
-                    elif name in tables:
-                        tables[name][at] = data[low:high][rows - low]
-        if EDGE_ELEMENT.name in tables:
-            pressure = tables["pressure"]
-            edges = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
-            tables[EDGE_ELEMENT.name] = edges
-        last = tables["steps_stored"] - 1
-        for source, end_value in BY_SOURCE.items():
-            if source in tables:
-                final = last if source not in STRESS else last_with_stress(tables[STRESS_STATES])
-                tables[end_value.stored.name] = end_value.of(tables[source], final)
-        if POINT_SIDE.name in tables:
-            tables[POINT_SIDE.name] = side_words(tables[POINT_SIDE.name])
-        for name, column in zip(self.study.names, self.study.columns, strict=True):
-            known = column.numbers
-            if known is not None:
-                tables[name] = known[numbers]
-            else:
-                cells = column.part(numbers).by_case(_cell)
-                tables[name] = np.array([cell.encode() for cell in cells])
-        return {name: tables[name].astype(kind) for name, (_, kind) in self.variables.items()}
+            values = _values(study, block, variables, sizes)
+            for name, array in values.items():
+                data[name][first : first + len(array)] = array
+            columns = _columns(study, block, values)
+            if not first:
+                writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+            first += len(block.numbers)
+        file.attrs.update(
+            software=SOFTWARE, study=study.text, case=study.base_text, method=study.method,
+            coordinates=" ".join(study.names), status="complete", ranks=ranks,
+            blocks=fingerprint(blocks), **versions(),
+        )  # fmt: skip
 
 
-def _over_cases(variable: Variable, dimensions: tuple[str, ...]) -> Variable:
-    """Return a variable of a case over all of them, perhaps of the last step alone."""
-    last = "step" in variable.dimensions and "step" not in dimensions
-    return over_cases(variable.at_last_step() if last else variable)
+def _variables_of(study: Study, blocks: Sequence[Block]) -> tuple[_Variables, dict[str, int]]:
+    """Return the variables of the results of some blocks, and the sizes of all axes by name."""
+    shapes: dict[tuple[str, tuple[int, ...]], None] = {}
+    kinds: dict[str, Any] = {}
+    for block in blocks:
+        with opened(block.path) as file:
+            for name, data in file.items():
+                if name in STORED:
+                    shapes[name, data.shape] = None
+                elif name not in kinds or data.dtype.itemsize > kinds[name].itemsize:
+                    kinds[name] = data.dtype
+    axes, sizes = axes_of(shapes)
+    sizes = {"step": 1, "element": 1, **sizes, "case": len(study)}
+    variables: _Variables = {"case": (OF_CASES["case"], _text_type(kinds["case"].itemsize))}
+    for name, column in zip(study.names, study.columns, strict=True):
+        kind = np.dtype(float)
+        if column.numbers is None:
+            kind = _text_type(max(len(_cell(value).encode()) for value in column.distinct))
+        unit = study.units()[name] or "1"
+        variables[name] = Variable(name, ("case",), unit, own_key(name).meaning), kind
+    if "pressure" in axes:
+        axes[EDGE_ELEMENT.name] = axes["pressure"]
+    for name, dimensions in axes.items():
+        variable = STORED.get(name, EDGE_ELEMENT)
+        if "step" in variable.dimensions and "step" not in dimensions:
+            variable = variable.at_last_step()
+        variable = replace(variable, dimensions=("case", *dimensions), integer=False)
+        side = name == POINT_SIDE.name
+        kind = _text_type(max(map(len, POINT_SIDES))) if side else np.dtype(float)
+        variables[name] = variable, kind
+    for end_value in END_VALUES.values():
+        if end_value.source in axes:
+            variables.setdefault(end_value.stored.name, (end_value.stored, np.dtype(float)))
+    for name, variable in OF_CASES.items():
+        kind = kinds[name]
+        variables[name] = variable, _text_type(kind.itemsize) if kind.kind == "S" else kind
+    return variables, sizes
 
 
-def _write_rows(file: TextIO, study: Study, numbers: IntArray, values: Mapping[str, Any]) -> None:
-    """Write the rows of some cases to the table, a header before the first one."""
+def _text_type(size: int) -> Any:
+    """Return the type of texts of so many bytes."""
+    return h5py.string_dtype("utf-8", max(size, 1))
+
+
+def _make(file: h5py.File, variables: _Variables, sizes: Mapping[str, int]) -> None:
+    """Make the axes and the variables, without values."""
+    for axis, size in sizes.items():
+        if axis != "case":
+            scale = {"step": _STATE, "element": ELEMENT, **AXES}[axis]
+            file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
+            file[axis].attrs.update(scale.attributes)
+    for name, (variable, kind) in variables.items():
+        shape = tuple(sizes[axis] for axis in variable.dimensions)
+        chunk = list(shape)
+        for i in range(len(shape)):  # as many whole cases as are small, else parts of one
+            rest = kind.itemsize * math.prod(chunk[i + 1 :])
+            chunk[i] = min(shape[i], max(1, int(_CHUNK_BYTES // rest)))
+        data = file.create_dataset(
+            name, shape, kind, chunks=tuple(chunk),
+            fillvalue=np.nan if kind.kind == "f" else None, **PACKED,
+        )  # fmt: skip
+        data.attrs.update({**variable.attributes, **(_ENCODED if kind.kind == "S" else {})})
+        if name == "case":
+            data.make_scale(name)
+        for i, dimension in enumerate(variable.dimensions):
+            if dimension != name:
+                data.dims[i].attach_scale(file[dimension])
+
+
+def _values(
+    study: Study, block: Block, variables: _Variables, sizes: Mapping[str, int]
+) -> dict[str, Any]:
+    """Return the values of a block's cases by name, (cases, ...); raises as ``merge``."""
+    with opened(block.path) as file:
+        tables: dict[str, Any] = {name: data[()] for name, data in file.items()}
+    count, rows = len(block.numbers), tables["steps_stored"]
+    for name, (variable, _) in variables.items():
+        if name in STORED:
+            shape = tuple(sizes[axis] for axis in variable.dimensions[1:])
+            known = tables.get(name, np.full((count, *shape), np.nan))
+            tables[name] = padded(name, known, shape, rows)
+    if "pressure" in tables:
+        pressure = tables["pressure"]
+        edges = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
+        tables[EDGE_ELEMENT.name] = edges
+    for end_value in END_VALUES.values():
+        if end_value.source in tables:
+            tables.setdefault(end_value.stored.name, end_value.of(tables))
+    if POINT_SIDE.name in tables:
+        tables[POINT_SIDE.name] = side_words(tables[POINT_SIDE.name])
+    for name, column in zip(study.names, study.columns, strict=True):
+        part = column.part(block.numbers)
+        tables[name] = part.numbers
+        if column.numbers is None:
+            tables[name] = np.array([cell.encode() for cell in part.by_case(_cell)])
+    return {name: tables[name].astype(kind) for name, (_, kind) in variables.items()}
+
+
+def _columns(study: Study, block: Block, values: Mapping[str, Any]) -> dict[str, Sequence[str]]:
+    """Return the columns of the table of a block's cases."""
     columns: dict[str, Sequence[str]] = {"case": _cells(values["case"])}
     for name, column in zip(study.names, study.columns, strict=True):
-        columns[name] = column.part(numbers).by_case(_cell)
+        columns[name] = column.part(block.numbers).by_case(_cell)
     columns |= {name: _cells(values[name]) for name in ("status", "error")}
     for end_value in END_VALUES.values():
         if end_value.stored.name in values:
             for name, ends in entries(end_value, values[end_value.stored.name]).items():
                 columns[name] = _cells(ends)
     columns["seconds"] = [f"{seconds:.4f}" for seconds in values["seconds"].tolist()]
-    columns["flags"] = _cells(values["flags"])
-    writer = csv.writer(file)
-    if not numbers[0]:
-        writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    return columns | {name: _cells(values[name]) for name in ("flags", "number")}
 
 
 def _cells(values: Any) -> list[str]:
@@ -252,54 +228,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, str):
         return value
     return "" if value is None else toml_value(value)
-
-
-class _Disk(io.FileIO):
-    """A file for HDF5 to write to, which may end the process where a disk is full.
-
-    What the disk does not take stays in memory, until ``check`` says so.
-    """
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, "r+")
-        self._error: OSError | None = None
-        self._late: dict[int, bytes] = {}
-
-    def check(self) -> None:
-        """Raise the first error of the disk."""
-        if self._error is not None:
-            raise self._error
-
-    def write(self, data: Any) -> int:
-        """Write all of the data, or remember why it cannot be."""
-        at, left = self.tell(), memoryview(data)
-        size = len(left)
-        try:
-            while left and self._error is None:
-                left = left[super().write(left) :]
-        except OSError as error:
-            self._error = error
-        if left:
-            self._late[at] = bytes(data)
-            self.seek(at + size)
-        return size
-
-    def readinto(self, buffer: Any) -> int:
-        """Read what was written, to the disk or not."""
-        at, size = self.tell(), len(buffer)
-        count = super().readinto(buffer)
-        for start, data in self._late.items():
-            first, last = max(start, at), min(start + len(data), at + size)
-            if first < last:
-                memoryview(buffer)[first - at : last - at] = data[first - start : last - start]
-                count = size
-        self.seek(at + count)
-        return count
-
-    def truncate(self, size: int | None = None) -> int:
-        """Cut the file, as far as the disk takes it."""
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self._error = self._error or error
-            return size or 0

@@ -7,8 +7,7 @@ found when it is made, and fails alone.
 
 import hashlib
 import json
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from importlib import import_module
@@ -17,17 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import naming
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
 from ringwear_par.cases.schema import unit_under
-from ringwear_par.cases.values import is_number
-from ringwear_par.errors import Fault, InputError
+from ringwear_par.cases.values import Interval, is_number
+from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text, toml_text
-from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.refusals.cases import check_memory, check_mesh
 from ringwear_par.studies.designs import read_draft
 from ringwear_par.studies.variations import (
@@ -41,8 +39,8 @@ from ringwear_par.version import __version__
 
 #: values of a key that are checked one by one; of more the least and the largest
 _MOST_VALUES = 20
-#: cases that are tried for a good one, in all and with a value of a key
-_TRIED, _TRIED_OF_VALUE = 16, 4
+#: bad cases at the beginning of a design, after which no good one is looked for
+_MOST_BAD = 100
 #: keys of these parts of a case decide which contact pair it has
 _SHAPE = ("lower", "upper", "mesh")
 
@@ -97,26 +95,18 @@ class Study:
         laws = self.columns[self.names.index(key)].distinct
         return [base if law is None else law for law in laws]
 
-    # -- single cases ------------------------------------------------------------------------------
+    # -- cases -------------------------------------------------------------------------------------
 
     def keys(self, number: int) -> dict[str, Any]:
         """Return the dotted keys and raw values of a case, from 0 on."""
-        return self._keys([column[number] for column in self.columns])
+        return self.keys_of([column[number] for column in self.columns])
 
-    def _keys(self, row: Sequence[Any]) -> dict[str, Any]:
+    def keys_of(self, row: Sequence[Any]) -> dict[str, Any]:
         """Return the keys of a case with a row of values."""
         return varied_keys(self.base, self._parts, row)
 
-    def case(self, number: int) -> Case:
+    def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""
-        return self._made(number)
-
-    def a_case(self) -> Case:
-        """Return the first case that can be, of some of them."""
-        made = map(self._case_or_error, _spread(len(self)))
-        return next(case for case in made if isinstance(case, Case))
-
-    def _made(self, number: int, text: str | None = None) -> Case:
         name = f"{self.name}: case {number + 1}"
         with naming(f"{name}:"):
             keys = self.keys(number)
@@ -124,93 +114,91 @@ class Study:
         refuse_bad_laws(case, name)
         return case
 
+    def _case_or_error(self, number: int) -> Case | InputError:
+        try:
+            return self.case(number, text="")
+        except InputError as error:
+            return error
+
+    @cached_property
+    def first(self) -> int:
+        """The first case that can be, or 0 where none of many can."""
+        for number in range(min(len(self), _MOST_BAD)):
+            if isinstance(self._case_or_error(number), Case):
+                return number
+        return 0
+
     @cached_property
     def _parts(self) -> list[tuple[str, int | str | None]]:
         return [split_key(name) for name in self.names]
 
-    # -- many cases --------------------------------------------------------------------------------
-
     @cached_property
-    def _numbers(self) -> dict[Number, int]:
+    def _numbers(self) -> dict[Number, FloatArray]:
         """Columns of numbers: cases that differ in them only are copies of each other."""
-        numbers: dict[Number, int] = {}
+        numbers: dict[Number, FloatArray] = {}
         paths = {*self.base, *map(path_of, self.names)}
-        for i, (path, entry) in enumerate(self._parts):
+        for (path, entry), column in zip(self._parts, self.columns, strict=True):
             body, _, name = path.partition(".")
             layered = name == "young" and f"{body}.layers" in paths  # no factor of the elasticity
-            if isinstance(entry, int) or self.columns[i].numbers is None or layered:
+            if isinstance(entry, int) or column.numbers is None or layered:
                 continue
             if interval_of((path, entry)) is not None:
-                numbers[path, entry] = i
+                numbers[path, entry] = column.numbers
         return numbers
-
-    @cached_property
-    def _others(self) -> list[int]:
-        """The other columns."""
-        return [i for i in range(len(self.columns)) if i not in self._numbers.values()]
-
-    def _alike(self, numbers: IntArray) -> Iterator[IntArray]:
-        """Yield the places of cases that differ in numbers only."""
-        groups: dict[tuple[int, ...], list[int]] = {}
-        codes = [self.columns[i].codes[numbers].tolist() for i in self._others]
-        rows: Iterable[tuple[int, ...]] = zip(*codes, strict=True) if codes else [()] * len(numbers)
-        for place, row in enumerate(rows):
-            groups.setdefault(row, []).append(place)
-        yield from map(np.array, groups.values())
 
     def cases_of(self, numbers: IntArray) -> list[Case | InputError]:
         """Return some cases, without texts, or why one cannot be.
 
         Of cases that differ in numbers only one is read, the others are its copies.
         """
-        cases = np.empty(len(numbers), dtype=object)
-        for places in self._alike(numbers):
-            while len(places):
-                first, places = places[0], places[1:]
-                cases[first] = pattern = self._case_or_error(int(numbers[first]))
-                if isinstance(pattern, Case) and len(places):
-                    values = {
-                        number: column[numbers[places]]
-                        for number, i in self._numbers.items()
-                        if (column := self.columns[i].numbers) is not None
-                    }
-                    alone = np.zeros(len(places), dtype=bool)
-                    for number, column in values.items():
-                        interval = interval_of(number)
-                        assert interval is not None
-                        alone |= ~interval.holds(column)
-                    alone |= needs_reading(pattern, values) if values else False
-                    floats = {number: column[~alone].tolist() for number, column in values.items()}
-                    copies = places[~alone]
-                    cases[copies] = with_numbers(pattern, floats, [""] * len(copies))
-                    for place in places[alone]:
-                        cases[place] = self._case_or_error(int(numbers[place]))
-                    break
-        return cases.tolist()
+        cases: list[Any] = [None] * len(numbers)
+        kinds = self._kinds[numbers]
+        for kind in np.unique(kinds):
+            places = np.flatnonzero(kinds == kind)
+            pattern: Any = None
+            while len(places) and not isinstance(pattern, Case):
+                cases[places[0]] = pattern = self._case_or_error(int(numbers[places[0]]))
+                places = places[1:]
+            if not len(places):
+                continue
+            values = {name: column[numbers[places]] for name, column in self._numbers.items()}
+            alone = np.zeros(len(places), dtype=bool)
+            for name, column in values.items():
+                alone |= ~_interval(name).holds(column)
+            if values:
+                alone |= needs_reading(pattern, values)
+            floats = {name: column[~alone].tolist() for name, column in values.items()}
+            copies = with_numbers(pattern, floats, [""] * int((~alone).sum()))
+            for place, case in zip(places[~alone], copies, strict=True):
+                cases[place] = case
+            for place in places[alone]:
+                cases[place] = self._case_or_error(int(numbers[place]))
+        return cases
 
-    def _case_or_error(self, number: int) -> Case | InputError:
-        try:
-            return self._made(number, text="")
-        except InputError as error:
-            return error
+    # -- their order ---------------------------------------------------------------------------
 
     @cached_property
     def shapes(self) -> IntArray:
         """(cases,) equal numbers where cases have the same contact pair, from 0 on."""
-        return self._codes([i for i in self._others if self._parts[i][0].startswith(_SHAPE)])
+        return self._codes(_SHAPE)
+
+    @cached_property
+    def _kinds(self) -> IntArray:
+        """(cases,) equal numbers where cases differ in numbers only."""
+        return self._codes("")
 
     @cached_property
     def order(self) -> IntArray:
         """The cases by contact pair, then by what else is no number, else as in the design."""
-        if not self._others:
-            return np.arange(len(self))
-        return np.lexsort((self._codes(self._others), self.shapes))
+        return np.lexsort((self._kinds, self.shapes))
 
-    def _codes(self, columns: Sequence[int]) -> IntArray:
+    def _codes(self, starts: str | tuple[str, ...]) -> IntArray:
+        """Return (cases,) equal numbers where keys that start so, and are no numbers, agree."""
         codes = np.zeros(len(self), dtype=np.int64)
-        for column in (self.columns[i] for i in columns):
-            codes = codes * (int(column.codes.max()) + 1) + column.codes
-            codes = np.unique(codes, return_inverse=True)[1].astype(np.int64)
+        for part, column in zip(self._parts, self.columns, strict=True):
+            if part[0].startswith(starts) and part not in self._numbers:
+                codes = codes * (int(column.codes.max()) + 1) + column.codes
+                codes = np.unique(codes, return_inverse=True)[1].astype(np.int64)
         return codes
 
     # -- names by content --------------------------------------------------------------------------
@@ -221,22 +209,18 @@ class Study:
         An id is that of the content of a case, however its numbers are written: of the base case,
         what varies, its values, and the text of laws that are files.
         """
+        base = {path: raw for path, raw in self.base.items() if path != "title"}
+        common = hashlib.sha256(_json(_content(base), self.names))
         columns = [
-            column.part(numbers).by_case(partial(_text_of, path))
+            column.part(numbers).by_case(partial(_content, path=path))
             for (path, _), column in zip(self._parts, self.columns, strict=True)
         ]
         ids = []
-        for row in map("\0".join, zip(*columns, strict=True)):
-            content = self._common.copy()
-            content.update(row.encode())
+        for row in zip(*columns, strict=True):
+            content = common.copy()
+            content.update(_json(*row))
             ids.append(content.hexdigest()[:16])
         return np.array(ids, dtype="S16")
-
-    @cached_property
-    def _common(self) -> Any:
-        """The hash of what all cases have."""
-        base = {path: raw for path, raw in self.base.items() if path != "title"}
-        return hashlib.sha256(json.dumps([_content(base), self.names], default=repr).encode())
 
     def digest(self, numbers: IntArray) -> str:
         """Return the name of some cases by their contents and this version, 16 digits."""
@@ -247,9 +231,14 @@ class Study:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def _text_of(path: str, raw: Any) -> str:
-    """Return the content of a key as a text."""
-    return repr(raw) if type(raw) is float else json.dumps(_content(raw, path), default=repr)
+def _interval(number: Number) -> Interval:
+    interval = interval_of(number)
+    assert interval is not None
+    return interval
+
+
+def _json(*content: Any) -> bytes:
+    return json.dumps(content, default=repr).encode()
 
 
 def _content(raw: Any, path: str = "") -> Any:
@@ -297,46 +286,35 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
 
 
 def _check(study: Study, ranks: int) -> None:
-    """Refuse a study whose base is bad, or a value of a key whatever the others are."""
-    faults: dict[str, Fault] = {}
-    operators = set()
+    """Refuse a study whose base is bad, or a value of a key whatever the others are.
 
-    def is_good(make: Callable[[], Case]) -> bool:
+    A value is bad if it is with those of the first case, and in the last case that has it.
+    """
+
+    def error_of(make: Callable[[], Case], shape: bool = True) -> InputError | None:
         try:
             case = make()
             check_memory(case, ranks, study.name)
-            if (operator := operator_key(case)) not in operators:
+            if shape:
                 check_mesh(case, study.name)
-                operators.add(operator)
         except InputError as error:
-            for fault in map(Fault, error.faults):  # of several cases the same one once
-                faults.setdefault(re.sub(r": case \d+", "", fault), fault)
-            return False
-        return True
+            return error
+        return None
 
-    first = next((n for n in _spread(len(study)) if is_good(partial(study.case, n))), None)
-    if first is None:
-        raise InputError(*faults.values())
-    faults.clear()
-    row = [column[first] for column in study.columns]
-    bad: dict[str, Fault] = {}
+    if error := error_of(partial(study.case, study.first)):
+        raise error
+    row, faults = [column[study.first] for column in study.columns], list[str]()
     for i, column in enumerate(study.columns):
+        shape = study.names[i].startswith(_SHAPE)
         for number in _ends(column):
-            same = np.flatnonzero(column.codes == column.codes[number])
-            few = same[np.linspace(0, len(same) - 1, _TRIED_OF_VALUE).astype(int)]
-            makes = [partial(study.case, n) for n in np.unique([number, *few]).tolist()]
-            changed = study._keys([*row[:i], column[number], *row[i + 1 :]])
-            makes.append(partial(make_case, changed, study.name, ""))
-            if not any(map(is_good, makes)):
-                bad |= faults
-            faults.clear()
-    if bad:
-        raise InputError(*bad.values())
-
-
-def _spread(count: int) -> list[int]:
-    """Return numbers of some of so many cases, from the first to the last."""
-    return np.unique(np.linspace(0, count - 1, _TRIED).astype(int)).tolist()
+            keys = study.keys_of([*row[:i], column[number], *row[i + 1 :]])
+            name = f"{study.name}: case {number + 1}"
+            error = error_of(partial(make_case, keys, name, ""), shape)
+            last = int(np.flatnonzero(column.codes == column.codes[number])[-1])
+            if error and error_of(partial(study.case, last), shape):
+                faults += error.faults
+    if faults:
+        raise InputError(*faults)
 
 
 def _ends(column: Column) -> list[int]:

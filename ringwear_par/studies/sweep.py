@@ -9,13 +9,14 @@ import fcntl
 import logging
 import shutil
 import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
@@ -26,16 +27,52 @@ from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_t
 from ringwear_par.results.hdf5 import UnreadableError, reading
 from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.block_files import DamagedError, has_failed, write_block
-from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, compute, free_blocks
-from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE
-from ringwear_par.studies.results_file import fingerprint, merge
+from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, compute, free_blocks, there
+from ringwear_par.studies.ensemble import (
+    FILE_KIND,
+    RESULTS,
+    SOFTWARE,
+    TABLE,
+    count_flags,
+    split_flags,
+)
+from ringwear_par.studies.results_file import is_merged, merge
 from ringwear_par.studies.study import Study, read_study
-from ringwear_par.studies.summary import Summary, stored_summary
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How many cases a sweep has; the rest is in its folder. As a text: what the command prints."""
+
+    #: cases of the study, those that are done and that have failed
+    total: int
+    done: int
+    failed: int
+    #: those that this sweep computed
+    computed: int
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What the ranks of a sweep have in common, and how far this one is."""
+
+    study: Study
+    blocks: Sequence[Block]
+    folder: Path
+    comm: MPI.Intracomm
+    #: ranks that share each case
+    ranks_per_case: int
+    #: blocks that were there before
+    before: int
 
 
 def sweep(
@@ -73,9 +110,7 @@ def sweep(
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    summary = _Sweep(study, Path(folder), comm, ranks_per_case, retry_failed).run()
-    summary.refuse_failures()
-    return summary
+    return _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
 
 
 def run_sweep(
@@ -88,201 +123,214 @@ def run_sweep(
     dry_run: bool = False,
 ) -> None:
     """Compute a study and print the summary, or an estimate; see ``sweep``. Collective on comm."""
-    work = _Sweep(study, folder, comm, ranks_per_case, retry_failed)
+    work = _prepared(study, folder, comm, ranks_per_case, retry_failed)
     if dry_run:
-        print(work.estimate())
-        return
-    summary = work.run()
-    print(summary)
-    summary.refuse_failures()
+        print(_estimate(work))
+    else:
+        _complete(work, print)
 
 
-class _Sweep:
-    """A sweep at work. Making one, and its methods, are collective on comm."""
+# -- before any work -------------------------------------------------------------------------------
 
-    def __init__(
-        self, source: Source, folder: Path, comm: MPI.Intracomm, ranks: int, retry: bool
-    ) -> None:
-        self._folder, self._comm, self._ranks = folder, comm, ranks
-        self._started, self._computed, self._busy = time.perf_counter(), 0, 0.0
 
-        def prepared() -> tuple[Study, list[Block]]:
-            if ranks < 1 or comm.size % ranks:
-                sizes = ", ".join(str(d) for d in range(1, comm.size + 1) if comm.size % d == 0)
-                raise InputError(
-                    f"--ranks-per-case {ranks}: {comm.size} ranks do not divide into teams of "
-                    f"{ranks}; must be one of {sizes}"
-                )
-            study = source if isinstance(source, Study) else read_study(source, ranks)
-            blocks = blocks_of(study, folder)
-            _prepare(folder, blocks, retry)
-            warn_of_threads(comm.size)
-            return study, blocks
+def _prepared(
+    source: Source, folder: Path, comm: MPI.Intracomm, ranks_per_case: int, retry: bool
+) -> _Work:
+    """Read the study and make the folder, or refuse them. Collective on comm."""
 
-        self._study, self._blocks = on_first_rank(comm, prepared)
-        self._team = comm.Split(comm.rank // ranks, comm.rank)
-        self._share, self._shares = comm.rank // ranks, comm.size // ranks
-        self._begun = self._there()
-
-    def _there(self) -> int:
-        """Return how many blocks are there."""
-        return sum(block.path.exists() for block in self._blocks)
-
-    def run(self) -> Summary:
-        """Compute what is not there, and merge once all is."""
-        try:
-            while True:
-                if not on_first_rank(self._comm, lambda: is_merged(self._folder, self._blocks)):
-                    self._compute()
-                if on_first_rank(self._comm, self._merge):
-                    break
-        except KeyboardInterrupt as signal:
-            there = f"{self._there()} of {len(self._blocks)} blocks are there"
-            name = str(signal) or "Ctrl-C"
-            raise KeyboardInterrupt(f"{name}; {there}, and the same command goes on") from None
-        finally:
-            self._team.Free()
-        comm = self._comm
-        return replace(
-            on_first_rank(comm, lambda: stored_summary(self._folder)),
-            computed=comm.allreduce(self._computed), busy=comm.allreduce(self._busy),
-            seconds=time.perf_counter() - self._started, ranks=comm.size,
-            peak=1e-6 * comm.allreduce(peak_memory(), MPI.MAX),
-        )  # fmt: skip
-
-    def _compute(self, most: int | None = None) -> None:
-        """Compute free blocks, at most so many a team, until no rank finds any more."""
-        comm, team, progress = self._comm, self._team, None
-        if comm.rank == 0:
-            progress = Progress(len(self._blocks), self._begun)
-        error: RingwearError | None = None
-        pairs: dict[Hashable, ContactPair] = {}
-        with closing(free_blocks(self._blocks, self._share, self._shares)) as free:
-            while most is None or most > 0:
-                try:
-                    block = on_first_rank(team, lambda: next(free, None))
-                    if block is None:
-                        break
-                    started = time.perf_counter()
-                    arrays = compute(self._study, block, pairs, team)
-                    on_first_rank(team, partial(write_block, block.path, arrays))
-                except RingwearError as failure:  # of the disk: others go on as long as they can
-                    error = failure
-                    break
-                if team.rank == 0:
-                    self._computed += len(block.numbers)
-                self._busy += time.perf_counter() - started
-                most = None if most is None else most - 1
-                if progress is not None and progress.is_due():
-                    self._show(progress)
-        if progress is not None:
-            progress.close()
-        errors = [failure for failure in comm.allgather(error) if failure is not None]
-        if errors:
-            raise self._incomplete(errors[0])
-
-    def _show(self, progress: Progress) -> None:
-        """Show how many blocks are there, and how long the others take."""
-        there, spent = self._there(), time.perf_counter() - self._started
-        left = (len(self._blocks) - there) * spent / max(there - self._begun, 1)
-        text = "%d of %d blocks are there, %s left"
-        progress.show(there, text, there, len(self._blocks), duration(left))
-
-    def _incomplete(self, error: RingwearError) -> RingwearError:
-        """Return the error of a sweep that ends too soon, the same on all ranks."""
-        if not isinstance(error, InputError):
-            error = ComputationError(
-                f"{error}; {self._there()} of {len(self._blocks)} blocks are there, and the same "
-                "command goes on"
+    def read() -> tuple[Study, list[Block], int]:
+        if ranks_per_case < 1 or comm.size % ranks_per_case:
+            sizes = ", ".join(str(d) for d in range(1, comm.size + 1) if comm.size % d == 0)
+            raise InputError(
+                f"--ranks-per-case {ranks_per_case}: {comm.size} ranks do not divide into teams "
+                f"of {ranks_per_case}; must be one of {sizes}"
             )
-        error.ranks = self._comm.size
-        return error
+        study = source if isinstance(source, Study) else read_study(source, ranks_per_case)
+        blocks = blocks_of(study, folder)
+        _prepare_folder(folder, blocks, retry)
+        warn_of_threads(comm.size)
+        return study, blocks, there(blocks)
 
-    def _merge(self) -> bool:
-        """Merge all blocks; False where one was damaged and is to be computed anew. On rank 0."""
-        blocks, folder = self._blocks, self._folder / FOLDER
-        with ExitStack() as locks:
-            with suppress(OSError):  # another process has merged them, or there are no locks
-                lock = locks.enter_context((folder / "merge.lock").open("w"))
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            if is_merged(self._folder, blocks):
-                return True
-            if (there := self._there()) < len(blocks):
-                raise ComputationError(
-                    f"{there} of {len(blocks)} blocks are there, others may be at work on the "
-                    "rest; the same command goes on, and merges them"
-                )
-            try:
-                merge(self._study, blocks, self._folder, self._comm.size)
-            except DamagedError as error:
-                log.warning("%s: it is computed anew", error)
-                error.path.unlink(missing_ok=True)
-                return False
-            except (OSError, UnreadableError) as error:
-                raise self._incomplete(as_ours(error)) from error
-            if not any(has_failed(block.path) for block in blocks):  # --retry-failed needs these
-                done = folder.with_name(f".{FOLDER}")
-                shutil.rmtree(done, ignore_errors=True)
-                folder.rename(done)  # in one step, for processes that still look
-                shutil.rmtree(done, ignore_errors=True)
-        return True
-
-    def estimate(self) -> str:
-        """Compute the first free block, which stays, and return about how long the others take."""
-        blocks, study = self._blocks, self._study
-        cases, count = counted(len(study), "case"), counted(len(blocks), "block")
-        lines = [f"{cases} in {count}, {self._begun} there already"]
-        merged = on_first_rank(self._comm, lambda: is_merged(self._folder, blocks))
-        if not merged:
-            self._compute(most=1 if self._share == 0 else 0)
-        done, seconds = self._comm.bcast((self._computed, self._busy))
-        if done:
-            left, teams = len(blocks) - self._begun - 1, self._shares
-            path = next(block.path for block in blocks if block.path.exists())
-            size = path.stat().st_size / done * len(study)
-            lines += [
-                f"one block of {done} cases took {duration(seconds)}; it stays in {path.parent}",
-                f"the other {counted(left, 'block')} on {counted(self._comm.size, 'rank')}: about "
-                f"{duration(float(f'{seconds * -(-left // teams):.2g}'))}, "
-                f"{1e-6 * peak_memory():.0f} MB of memory a rank, {1.4e-6 * size:.3g} MB on disk",
-            ]
-        return "\n".join(lines)
+    study, blocks, before = on_first_rank(comm, read)
+    return _Work(study, blocks, folder, comm, ranks_per_case, before)
 
 
-def _prepare(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
+def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
     """Make the folder, or look that it is of this study; remove what is to be computed again."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; must be a folder, or a new name")
     refuse_others(folder, "sweep")
-    mine, others = {block.path for block in blocks}, [*(folder / FOLDER).glob("*.h5")]
-    if (folder / RESULTS).exists():
-        others = [folder / RESULTS]
-        if is_merged(folder, blocks):
-            mine.add(folder / RESULTS)
-    if others and not mine & set(others):
+    merged, paths = is_merged(folder, blocks), {block.path for block in blocks}
+    results = folder / RESULTS
+    stored = [results] if results.exists() else [*(folder / FOLDER).glob("*.h5")]
+    if stored and not merged and not paths & set(stored):
         must = "; must be removed, or a new folder"
-        with reading(others[0], SOFTWARE, FILE_KIND, must) as file:
+        with reading(stored[0], SOFTWARE, FILE_KIND, must) as file:
             version = str(file.attrs["version"])
         same = version == __version__
         whose = "another study" if same else f"version {version} of ringwear-par"
         raise InputError(f"{folder}: holds cases of {whose}; must be a new folder")
     if retry:
-        for path in filter(has_failed, [block.path for block in blocks]):
+        for path in filter(has_failed, paths):
             path.unlink()
-            (folder / RESULTS).unlink(missing_ok=True)
+            results.unlink(missing_ok=True)
     if is_merged(folder, blocks):
         return
     try:
         (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(folder, error) from error
-    check_writable(folder / RESULTS)
+    check_writable(results)
 
 
-def is_merged(folder: Path, blocks: Sequence[Block]) -> bool:
-    """Tell whether the results of these blocks are in a folder. On one rank."""
+# -- work ------------------------------------------------------------------------------------------
+
+
+def _complete(work: _Work, say: Callable[[Summary], None] = lambda _: None) -> Summary:
+    """Compute the blocks that are not there, merge them, and say how many failed.
+
+    Collective on work.comm.
+
+    Raises
+    ------
+    ComputationError : cases failed, or the disk.
+    """
+    comm, started, computed = work.comm, time.perf_counter(), 0
     try:
-        with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
-            return bool(file.attrs.get("blocks") == fingerprint(blocks))
-    except InputError:
-        return False
+        while True:
+            if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
+                computed += comm.allreduce(_compute(work))
+            if on_first_rank(comm, lambda: _merge(work)):
+                break
+    except KeyboardInterrupt as signal:
+        raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {_goes_on(work)}") from None
+    seconds = time.perf_counter() - started
+    summary = on_first_rank(comm, lambda: _summary(work, computed, seconds))
+    say(summary)
+    if summary.failed:
+        counts = f"{summary.failed} of {summary.total} cases failed"
+        error = ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
+        error.ranks = comm.size
+        raise error
+    return summary
+
+
+def _compute(work: _Work, most: float = np.inf) -> int:
+    """Compute free blocks, at most so many a team, until no rank finds any more.
+
+    Return how many cases, 0 on all ranks of a team but its first. Collective on work.comm.
+    """
+    comm, ranks = work.comm, work.ranks_per_case
+    team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
+    progress = Progress(len(work.blocks), work.before) if comm.rank == 0 else None
+    pairs: dict[Hashable, ContactPair] = {}
+    error: RingwearError | None = None
+    computed, started = 0, time.perf_counter()
+    try:
+        with closing(free_blocks(work.blocks, share, shares)) as free:
+            while most > 0 and (block := on_first_rank(team, lambda: next(free, None))) is not None:
+                arrays = compute(work.study, block, pairs, team)
+                on_first_rank(team, partial(write_block, block.path, arrays))
+                computed, most = computed + len(block.numbers), most - 1
+                if progress is not None and progress.is_due():
+                    done, count = there(work.blocks), len(work.blocks)
+                    pace = (time.perf_counter() - started) / max(done - work.before, 1)
+                    left = duration((count - done) * pace)
+                    progress.show(done, "%d of %d blocks are there, %s left", done, count, left)
+    except RingwearError as failure:  # of the disk: others go on as long as they can
+        error = failure
+    finally:
+        first = team.rank == 0
+        team.Free()
+        if progress is not None:
+            progress.close()
+    errors = [failure for failure in comm.allgather(error) if failure is not None]
+    if errors:
+        raise _incomplete(work, errors[0])
+    return computed if first else 0
+
+
+def _goes_on(work: _Work) -> str:
+    """Return the words for a sweep that ends before all is there."""
+    count = f"{there(work.blocks)} of {len(work.blocks)}"
+    return f"{count} blocks are there, and the same command goes on"
+
+
+def _incomplete(work: _Work, error: RingwearError) -> RingwearError:
+    """Return the error of a sweep that ends too soon, the same on all ranks."""
+    if not isinstance(error, InputError):
+        error = ComputationError(f"{error}; {_goes_on(work)}")
+    error.ranks = work.comm.size
+    return error
+
+
+def _merge(work: _Work) -> bool:
+    """Merge all blocks; False where one was damaged and is to be computed anew. On rank 0."""
+    blocks, folder = work.blocks, work.folder / FOLDER
+    with ExitStack() as locks:
+        with suppress(OSError):  # another process has merged them, or there are no locks
+            lock = locks.enter_context((folder / "merge.lock").open("w"))
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        if is_merged(work.folder, blocks):
+            return True
+        if there(blocks) < len(blocks):
+            raise ComputationError(f"others may be at work on the rest; {_goes_on(work)}")
+        try:
+            merge(work.study, blocks, work.folder, work.comm.size)
+        except DamagedError as error:
+            log.warning("%s: it is computed anew", error)
+            error.path.unlink(missing_ok=True)
+            return False
+        except (OSError, ComputationError, UnreadableError) as error:
+            raise _incomplete(work, as_ours(error)) from error
+        if not any(has_failed(block.path) for block in blocks):  # --retry-failed needs these
+            done = folder.with_name(f".{FOLDER}")
+            shutil.rmtree(done, ignore_errors=True)
+            folder.rename(done)  # in one step, for processes that still look
+            shutil.rmtree(done, ignore_errors=True)
+    return True
+
+
+# -- what is said ----------------------------------------------------------------------------------
+
+
+def _summary(work: _Work, computed: int, seconds: float) -> Summary:
+    """Return what the results say of their cases. On one rank."""
+    with reading(work.folder / RESULTS, SOFTWARE, FILE_KIND) as file:
+        status, flags = file["status"][:], file["flags"][:]
+        worst = float(np.nanmax(file["imbalance"][:], initial=0.0))
+    total, failed = len(status), int((status == b"failed").sum())
+    lines = [f"cases: {total}, {total - failed} done, {failed} failed"]
+    if computed:
+        rate = f"{computed / seconds:.3g} a second"
+        lines.append(f"{computed} computed in {duration(seconds)}, {rate}; ranks: {work.comm.size}")
+    lines.append(f"largest error of balances (force, volume, energy, KKT): {worst:.1e}")
+    words, counts = np.unique(flags[flags != b""], return_counts=True)
+    if len(words):
+        flagged = zip((split_flags(word.decode()) for word in words), counts.tolist(), strict=True)
+        lines.append(count_flags(dict(flagged)))
+    lines.append(f"{work.folder / TABLE}, {work.folder / RESULTS}")
+    return Summary(total, total - failed, failed, computed, "\n".join(lines))
+
+
+def _estimate(work: _Work) -> str:
+    """Compute the first free block, which stays, and return about how long the others take.
+
+    Collective on work.comm.
+    """
+    comm, blocks, teams = work.comm, work.blocks, work.comm.size // work.ranks_per_case
+    cases, count = counted(len(work.study), "case"), counted(len(blocks), "block")
+    text, started = f"{cases} in {count}, {work.before} there already", time.perf_counter()
+    if on_first_rank(comm, lambda: is_merged(work.folder, blocks)):
+        return text
+    done = comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
+    if not done:
+        return text
+    seconds, left = time.perf_counter() - started, len(blocks) - work.before - 1
+    others = duration(float(f"{seconds * -(-left // teams):.2g}"))
+    return (
+        f"{text}\none block of {done} cases took {duration(seconds)}; it stays in "
+        f"{work.folder / FOLDER}\nthe other {counted(left, 'block')} on "
+        f"{counted(comm.size, 'rank')}: about {others}; memory of a rank: "
+        f"{1e-6 * peak_memory():.0f} MB"
+    )

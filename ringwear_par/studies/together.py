@@ -1,23 +1,34 @@
-"""Histories that step together: which cases do, how many at a time, and what comes of them."""
+"""Histories that step together: which cases do, how many at a time, and what comes of them.
+
+Sweeps, lists of cases and fits all compute their histories here.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.history.elastic.bodies import shares_reference, young
+from ringwear_par.errors import InputError
+from ringwear_par.history.elastic.bodies import operator_key, shares_reference, young
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.lockstep import batch_key, can_share
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.observers.stresses import CaseStresses, stress_key
-from ringwear_par.history.refusals.cases import stress_numbers
+from ringwear_par.history.refusals.cases import check_memory, check_mesh, stress_numbers
+from ringwear_par.parallel import together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import HISTORIES
 
+T = TypeVar("T")
+
+#: contact pairs that are kept for the next cases
+_MOST_PAIRS = 16
 #: numbers of histories that step together, of which one has about so many fields, and most of them
 _NUMBERS, _FIELDS, MOST = 2**21, 32, 2048
 #: bytes of the stored histories of cases that step together: they are in memory until all have
@@ -114,12 +125,78 @@ def computed(
         chosen = [cases[number] for number in numbers]
         recorder = Recorder(chosen, comm, stresses=stresses, results=results)
         outcome = simulate(
-            chosen, comm, pair=[pairs[n] for n in numbers], observers=[recorder],
-            step_times=None if step_times is None else [step_times[n] for n in numbers],
-            paces=None if paces is None else [paces[n] for n in numbers],
+            chosen, comm, pair=[pairs[number] for number in numbers], observers=[recorder],
+            step_times=_some(step_times, numbers),
+            paces=_some(paces, numbers),
         )  # fmt: skip
         done.append(Computed(tuple(numbers), recorder, outcome.failures))
     return done
+
+
+def computed_with_pairs(
+    cases: Sequence[Case | Exception],
+    pairs: dict[Hashable, ContactPair],
+    comm: MPI.Comm,
+    *,
+    results: bool = False,
+    step_times: Sequence[Sequence[float]] | None = None,
+    paces: Sequence[FloatArray] | None = None,
+) -> tuple[list[Computed], dict[int, Exception]]:
+    """Compute cases of any contact pairs, see ``computed``. Collective on comm.
+
+    Parameters
+    ----------
+    cases : or why there is none.
+    pairs : of earlier cases, by operator; those of these cases are added, the oldest go.
+
+    Returns
+    -------
+    parts : cases that were computed together.
+    errors : why others have no history, by number.
+
+    Raises
+    ------
+    InputError : an option for PETSc, which no case can do with.
+    """
+    errors: dict[int, Exception] = {}
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    for number, case in enumerate(cases):
+        if isinstance(case, Exception):
+            errors[number] = case
+        else:
+            groups[operator_key(case)].append(number)
+    parts: list[Computed] = []
+    for key, numbers in groups.items():
+        chosen: list[Any] = [cases[number] for number in numbers]
+        try:
+            if key not in pairs:
+                check_memory(chosen[0], comm.size, "case")
+                check_mesh(chosen[0], "case")
+        except InputError as error:
+            errors |= dict.fromkeys(numbers, error)
+            continue
+        try:
+            if key not in pairs:
+                while len(pairs) >= _MOST_PAIRS:
+                    del pairs[next(iter(pairs))]
+                with together(comm):
+                    pairs[key] = assemble(chosen[0], comm)
+            done = computed(
+                chosen, [pairs[key]] * len(chosen), comm, results=results,
+                step_times=_some(step_times, numbers),
+                paces=_some(paces, numbers),
+            )  # fmt: skip
+        except InputError:
+            raise
+        except Exception as error:  # the same for all of them
+            errors |= dict.fromkeys(numbers, error)
+            continue
+        parts += [replace(part, numbers=tuple(numbers[i] for i in part.numbers)) for part in done]
+    return parts, errors
+
+
+def _some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
+    return None if values is None else [values[number] for number in numbers]
 
 
 def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses | None]:

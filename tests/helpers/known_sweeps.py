@@ -39,8 +39,8 @@ def write(
     columns = tuple(map(Column.of, map(list, zip(*rows, strict=True))))
     study = Study("study", "", method, {}, tuple(names), columns)
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    block = Block(folder / FOLDER / "all.h5", study.order)
-    write_block(block.path, {name: values[study.order] for name, values in arrays.items()})
+    block = Block(folder / FOLDER / "all.h5", np.arange(count))
+    write_block(block.path, arrays)
     merge(study, [block], folder, 1)
     return read_ensemble(folder)
 

@@ -29,15 +29,21 @@ def write_study(folder, comm, text=STUDY, case=CASE):
 
 
 def table(folder):
-    """Rows of cases.csv."""
+    """Rows of cases.csv, in the order of the design."""
     with (folder / "cases.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
+        return sorted(csv.DictReader(file), key=lambda row: int(row["number"]))
 
 
 def variables(folder):
-    """Variables of results.h5, but for the time taken."""
+    """Variables of results.h5, in the order of the design, but for the time taken."""
     with h5py.File(folder / "results.h5") as file:
-        return {name: file[name][()] for name in file if name != "seconds"}
+        order = np.argsort(file["number"][:])
+        of_cases = {n for n, v in file.items() if n == "case" or list(v.dims[0]) == ["case"]}
+        return {
+            name: file[name][()][order] if name in of_cases else file[name][()]
+            for name in file
+            if name != "seconds"
+        }
 
 
 def assert_same_sweeps(folder, other):

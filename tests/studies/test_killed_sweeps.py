@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import h5py
 import pytest
@@ -14,7 +15,7 @@ from swept import assert_same_sweeps, table, write_study
 from waiting import Waiting
 
 import ringwear_par as rw
-from ringwear_par.studies import blocks, results_file, together
+from ringwear_par.studies import blocks, together
 
 pytestmark = pytest.mark.slow
 STUDY = """
@@ -76,7 +77,7 @@ def swept(tmp_path_factory, comm):
 
 @pytest.mark.parametrize(
     ("function", "call", "computed"),
-    [("write_block", 2, 4), ("compute", 1, 6), ("put", 60, 2), ("merge", 1, 0), ("check", 2, 0)],
+    [("write_block", 2, 4), ("compute", 1, 6), ("_values", 2, 0), ("merge", 1, 0)],
 )
 @pytest.mark.usefixtures("small_blocks")
 def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed):
@@ -158,13 +159,16 @@ def test_a_block_of_a_killed_process_is_taken_over(tmp_path, swept):
     assert_same_sweeps(tmp_path / "out", reference)
 
 
-def test_memory_does_not_grow_with_cases(tmp_path, swept, comm, monkeypatch):
-    """Merged by windows of a few cases, all is the same."""
+def test_a_disk_without_space_for_the_results(tmp_path, swept, comm, monkeypatch):
+    """One sentence, blocks stay, and the same command goes on."""
     study, reference, unmerged = swept
     output = shutil.copytree(unmerged, tmp_path / "out")
-    monkeypatch.setattr(results_file, "WINDOW_BYTES", 1e5)
     monkeypatch.setattr(together, "MOST", 2)
-    rw.sweep(study, output, comm)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10_000))
+        with pytest.raises(rw.ComputationError, match=r"too full for the results.* 3 of 3 blocks"):
+            rw.sweep(study, output, comm)
+    assert rw.sweep(study, output, comm).computed == 0
     assert_same_sweeps(output, reference)
 
 

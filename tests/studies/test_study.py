@@ -168,29 +168,6 @@ def test_ids_follow_content(write):
     assert not set(one) & set(ids(read_study(write(vary % "50, 60", CASE.replace("0.3", "0.31")))))
 
 
-def test_cases_of_a_contact_pair_follow_each_other(write):
-    text = """
-[vary]
-"lower.young" = { values = [1e4, 2e4] }
-"mesh.contact_elements" = { values = [16, 64] }
-"wear.lower.k" = { values = [1e-7, 2e-7, 3e-7] }
-"upper.poisson" = { values = [0.2, 0.3] }
-[design]
-method = "grid"
-"""
-    study = read_study(write(text))
-    shapes = study.shapes[study.order]
-    assert np.count_nonzero(np.diff(shapes)) == 3
-    pairs = {(case.upper.poisson, case.mesh.contact_elements)
-             for case in study.cases_of(study.order[:6])}  # fmt: skip
-    assert len(pairs) == 1
-
-
-def test_a_range_that_is_open_at_its_end(write):
-    open_end = '[vary]\n"lower.young" = { linear = [0, 1e4] }\n[design]\nmethod = "random"\n'
-    assert len(read_study(write(open_end + "count = 30\n"))) == 30
-
-
 def test_bad_values_are_refused_before_any_work(write):
     """All of them, once each, with a case that has them."""
     text = (

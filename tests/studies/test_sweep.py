@@ -217,14 +217,14 @@ def test_a_retry_computes_the_blocks_of_failed_cases_only(write, tmp_path, comm,
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, tmp_path, comm, monkeypatch):
-    original = blocks.assemble
+    original = together.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise rw.ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(blocks, "assemble", assemble)
+    monkeypatch.setattr(together, "assemble", assemble)
     with pytest.raises(rw.ComputationError, match="3 of 6"):
         rw.sweep(write(SHAPES), tmp_path / "out", comm)
     failed = [row for row in table(tmp_path / "out") if row["status"] == "failed"]
