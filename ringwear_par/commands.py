@@ -126,7 +126,6 @@ def parser() -> argparse.ArgumentParser:
     a.flag("--restart",
            "continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end")
     a.flag("--overwrite", "replace RUN.h5, even if it holds an interrupted run")
-    a.flag("--verbose", "print all key numbers, checks and seconds")
     a.add_argument("--plot", type=_figure, dest="figure", metavar="FIG.png",
                    help="draw the history at the end")
     a = command(

@@ -24,11 +24,7 @@ from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.identification.solution import Solution, solve
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.laboratory_numbers import (
-    LABORATORY_NUMBERS,
-    laboratory_inputs,
-    laboratory_numbers,
-)
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, laboratory_numbers
 from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
@@ -182,7 +178,7 @@ def _laboratory(readings: Readings, x: FloatArray) -> dict[str, dict[str, dict[s
             continue
         numbers[test.name] = {
             name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].variable.unit}
-            for name, values in laboratory_numbers(laboratory_inputs(result)).items()
+            for name, values in laboratory_numbers(result).items()
             if np.isfinite(values[-1])
         }
     return numbers

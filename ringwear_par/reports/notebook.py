@@ -1,19 +1,15 @@
-"""How notebooks show outcomes and studies: a summary, the picture, and what keys mean."""
+"""How notebooks show outcomes and studies: a summary and the picture."""
 
 import base64
-import re
 from html import escape
 
-from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.units import with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import RingwearError
 from ringwear_par.pictures.rig import rig_svg
 from ringwear_par.results.result import Outcome
 from ringwear_par.studies.study import Study
-from ringwear_par.studies.variations import path_of
 
-_KEY = re.compile(r"\b[a-z]+(?:\[\d\])?(?:\.[a-z_0-9]+(?:\[\d\])?)+")
 #: of texts, whose lines may be longer than a cell is wide
 _PRE = '<pre style="white-space: pre-wrap">'
 #: values of a varied key that are listed
@@ -29,7 +25,7 @@ def outcome_html(outcome: Outcome) -> str:
         text = outcome.summary()
     except RingwearError:
         text = repr(outcome)
-    return f"<div>{_PRE}{_with_meanings(text)}</pre>{_picture(outcome)}</div>"
+    return f"<div>{_PRE}{escape(with_signs(text))}</pre>{_picture(outcome)}</div>"
 
 
 def _picture(outcome: Outcome) -> str:
@@ -51,21 +47,7 @@ def study_html(study: Study) -> str:
         words = ", ".join(f"{v:.4g}" if is_number(v) else str(v) for v in values)
         if numbers is not None and len(values) > _LISTED:
             words = f"{len(values)} from {numbers.min():.4g} to {numbers.max():.4g}"
-        cells = (_with_meanings(name), escape(words), units[name])
+        cells = (escape(name), escape(words), units[name])
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
     table = "<table><tr><th>key</th><th>values</th><th>unit</th></tr>" + "".join(rows) + "</table>"
     return f"<div>{_PRE}{escape(repr(study))}</pre>{table}{rig_svg(study.case(0))}</div>"
-
-
-def _with_meanings(text: str) -> str:
-    """Return a text whose keys show their meaning under the pointer."""
-
-    def with_meaning(match: re.Match[str]) -> str:
-        key = key_of(match[0]) or BY_PATH.get(path_of(match[0]))
-        if key is None:
-            return match[0]
-        unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
-        title = escape(f"{key.meaning}{unit}; {key.allowed}", quote=True)
-        return f'<abbr title="{title}">{match[0]}</abbr>'
-
-    return _KEY.sub(with_meaning, escape(with_signs(text)))

@@ -40,7 +40,6 @@ def run_case(
     restart: bool = False,
     overwrite: bool = False,
     figure: Figure | None = None,
-    verbose: bool = False,
 ) -> None:
     """Compute a wear history, write it, and print what came of it. Collective on comm.
 
@@ -52,7 +51,6 @@ def run_case(
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
     figure : picture to be drawn at the end.
-    verbose : print all key numbers, checks and seconds.
 
     Raises
     ------
@@ -89,7 +87,7 @@ def run_case(
         _step(run, path, [recorder, begin, run])
         result = run.save_at_end()
         if first:
-            print("\n".join(_lines(result, output, recorder, verbose)))
+            print("\n".join(_lines(result, output, recorder)))
         last = recorder.last
         with together(comm):
             if last is not None and not recorder.finished:
@@ -206,16 +204,10 @@ def _draw(output: Path, figure: Figure | None, comm: MPI.Comm) -> None:
         on_first_rank(comm, lambda: figure.draw(output))
 
 
-def _lines(result: Result, output: Path, recorder: Recorder, verbose: bool) -> list[str]:
+def _lines(result: Result, output: Path, recorder: Recorder) -> list[str]:
     """Return the lines about a run and its file, and about the command to type next."""
-    lines = [result.summary(verbose=verbose)]
-    if verbose:
-        names = ("assembly", "factorisation", "stepping", "output")
-        seconds = recorder.seconds()
-        parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-        lines.append(f"seconds: {parts}")
     file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
     report = f"ringwear report {file} -o {page}"
     after = report if recorder.finished else "the same command with --restart"
     written = f"{output} ({counted(len(result.step), 'state')})"
-    return [*lines, *labelled([("written", written), ("next", after)])]
+    return [result.summary(), *labelled([("written", written), ("next", after)])]
