@@ -177,7 +177,7 @@ def _laboratory(readings: Readings, x: FloatArray) -> dict[str, dict[str, dict[s
         except HistoryError:
             continue
         numbers[test.name] = {
-            name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].variable.unit}
+            name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].unit}
             for name, values in laboratory_numbers(result).items()
             if np.isfinite(values[-1])
         }

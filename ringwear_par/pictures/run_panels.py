@@ -10,9 +10,9 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points, Stages
+from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
-from ringwear_par.results.key_numbers import nominal_area, number_words, time_unit, time_words
+from ringwear_par.results.key_numbers import number_words, time_unit, time_words
 from ringwear_par.results.laboratory_numbers import laboratory_numbers, schedule_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
@@ -25,7 +25,7 @@ _BESIDE = 0.15
 _FAR = 1.5
 #: end of a scale of pressures over the highest one that is drawn
 _ROOM = 1.1
-#: most times that a legend names; more are shown in a bar of colours
+#: most times that a legend names
 _NAMED = 8
 
 
@@ -59,7 +59,7 @@ def _volumes(result: Result) -> dict[str, FloatArray]:
 def _rates(result: Result) -> dict[str, FloatArray]:
     """Return the mean depths worn off between stored states by their time, um/h."""
     hours = np.diff(result.histories["time"]) / 3600.0
-    area = nominal_area(result)
+    area = result.attributes["nominal_area"]
     return {body: 1e3 * np.diff(v) / area / hours for body, v in _volumes(result).items()}
 
 
@@ -208,7 +208,6 @@ def worn_faces(
     return Panel(
         Axis(RADIUS, ends=(low, high)), Axis(label, reversed=True), label,
         "lower solid, upper dashed" if both else "", curves=curves, labels=labels,
-        stages=bar_of_stages(result, rows),
     )  # fmt: skip
 
 
@@ -228,7 +227,7 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
         when = time_words(float(time[peak]), float(time[-1]))
         note = f"peak of {number_words(float(highest[peak]))} MPa at {when} not shown"
     drawn = stages(time) if rows is None else rows
-    colours = stage_colours(time[drawn])
+    colours = stage_colours(len(drawn))
     marks = [
         Points(result.line.r[edge], values[row][edge], "contact edge", colour, 6.0, hollow=True)
         for row, colour in zip(drawn, colours, strict=True)
@@ -236,7 +235,7 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
     ]  # fmt: skip
     return Panel(
         Axis(RADIUS), Axis(label, ends=(0.0, top)), label, note,
-        curves=at_states(result, values, rows), points=marks, stages=bar_of_stages(result, rows),
+        curves=at_states(result, values, rows), points=marks,
     )  # fmt: skip
 
 
@@ -278,30 +277,18 @@ def at_states(result: Result, values: Any, rows: Sequence[int] | None = None) ->
 
 
 def stage_styles(times: FloatArray, end: float) -> list[tuple[str, str, int]]:
-    """Return name, colour and dash of stages in time, s; many have no names, see ``Stages``."""
-    colours, words = stage_colours(times), [time_words(time, end) for time in times.tolist()]
-    if len(times) > _NAMED:
-        return [("", colour, 0) for colour in colours]
-    return [(*style, dash) for dash, style in enumerate(zip(words, colours, strict=True))]
+    """Return name, colour and dash of stages in time, s; of many, the last and some others."""
+    every = -(-len(times) // _NAMED)
+    names = [time_words(time, end) for time in times.tolist()]
+    return [
+        (names[i] if (len(times) - 1 - i) % every == 0 else "", colour, i if every == 1 else 0)
+        for i, colour in enumerate(stage_colours(len(times)))
+    ]
 
 
-def stage_colours(times: FloatArray) -> list[str]:
-    """Return the colours of stages in time: of many by their times, of few evenly."""
-    places = times if len(times) > _NAMED else np.arange(len(times))
-    span = float(np.ptp(places))
-    return [stage_colour(float(share)) for share in (places - places[0]) / span] if span else [
-        stage_colour(1.0) for _ in places
-    ]  # fmt: skip
-
-
-def bar_of_stages(result: Result, rows: Sequence[int] | None) -> Stages | None:
-    """Return the bar of the colours of stored states that are too many for a legend."""
-    if rows is None or len(rows) <= _NAMED:
-        return None
-    time = result.histories["time"]
-    unit, seconds = time_unit(float(time[-1]))
-    low, high = (time[[rows[0], rows[-1]]] / seconds).tolist()
-    return Stages(low, high, f"time ({unit})")
+def stage_colours(count: int) -> list[str]:
+    """Return the colours of stages in time."""
+    return [stage_colour(float(share)) for share in np.linspace(1.0, 0.0, count)[::-1]]
 
 
 def at_instant(result: Result, values: FloatArray) -> Curve:

@@ -69,7 +69,7 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
     data |= stress_measures(data)
     pairs = {name: (_variable(name, data), values) for name, values in data.items()}
     numbers = laboratory_numbers(result)
-    pairs |= {name: (LABORATORY_NUMBERS[name].variable, v) for name, v in numbers.items()}
+    pairs |= {name: (LABORATORY_NUMBERS[name], v) for name, v in numbers.items()}
     axes: dict[str, tuple[Variable, Any]] = {}
     for name, (variable, values) in pairs.items():
         group = name[: name.rfind("/") + 1]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results.laboratory_numbers import (
-    LABORATORY_NUMBERS,
-    SLIDING,
     densities_of,
     laboratory_numbers,
 )
@@ -100,10 +98,8 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
-    state, laboratory = result.checkpoint.state, {}
-    for name, values in laboratory_numbers(result).items():
-        n = LABORATORY_NUMBERS[name]
-        laboratory[n.key] = KeyNumber(n.key, n.group, n.label, float(values[-1]), n.variable.unit)
+    state = result.checkpoint.state
+    laboratory = {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
     return [
         *_penetration(result, state),
         *(number for i in (0, 1) for number in _worn(result, state, i, laboratory)),
@@ -112,11 +108,6 @@ def key_numbers(result: Result) -> list[KeyNumber]:
         *_loads(result, state.contact, laboratory),
         *_stresses(result, state),
     ]
-
-
-def nominal_area(result: Result) -> float:
-    """Return the area (mm2) where the bodies face each other."""
-    return float(result.attributes["nominal_area"])
 
 
 def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
@@ -138,7 +129,7 @@ def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
 
 
 def _worn(
-    result: Result, state: State, i: int, laboratory: Mapping[str, KeyNumber]
+    result: Result, state: State, i: int, laboratory: Mapping[str, float]
 ) -> Iterator[KeyNumber]:
     """Yield the wear of a body, nothing of one that does not wear."""
     body = BODIES[i]
@@ -148,20 +139,22 @@ def _worn(
     deepest = 1e3 * float(state.wear[i].max())
     yield KeyNumber(f"{body}_deepest_wear", body, "deepest wear", deepest, "um")
     yield KeyNumber(f"{body}_worn_volume", body, "worn volume", volume, "mm3")
-    unknown = KeyNumber(f"{body}_mass", body, "mass lost", np.nan, "mg")
-    mass = laboratory.get(f"{body}_mass", unknown)
-    yield replace(mass, note=_unknown_densities(result, body, volume))
-    if (mean_rate := laboratory[f"{body}_mean_rate"]).known:
-        yield mean_rate
-        now = 3.6e6 * float(state.rates[i] @ result.line.area) / nominal_area(result)
+    mass, missing = laboratory.get(f"mass_lost_{body}", np.nan), _unknown_densities(result, body)
+    yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", missing)
+    mean, specific = (laboratory[f"{name}_wear_rate_{body}"] for name in ("mean", "specific"))
+    if not np.isnan(mean):
+        yield KeyNumber(f"{body}_mean_rate", body, "mean rate", mean, "um/h")
+        now = 3.6e6 * float(state.rates[i] @ result.line.area) / result.attributes["nominal_area"]
         yield KeyNumber(f"{body}_last_rate", body, "rate at the end", now, "um/h")
-    if (specific := laboratory[f"{body}_specific_rate"]).known:
-        yield specific
+    if not np.isnan(specific):
+        label = "specific wear rate"
+        yield KeyNumber(f"{body}_specific_rate", body, label, specific, "mm3/(N m)")
 
 
-def _unknown_densities(result: Result, body: BodyName, volume: float) -> str:
+def _unknown_densities(result: Result, body: BodyName) -> str:
     """Return which densities the mass that a body has lost needs, "" for none."""
-    volumes = np.atleast_1d(result.layers.get(f"worn_volume_{body}_layers", [volume])[-1])
+    total = result.histories[f"worn_volume_{body}"]
+    volumes = np.atleast_1d(result.layers.get(f"worn_volume_{body}_layers", total)[-1])
     keys = density_keys(body, len(volumes) - 1)
     unknown = np.isnan(densities_of(result, body)) & (volumes > 0.0)
     missing = ", ".join(key for key, lacks in zip(keys, unknown, strict=True) if lacks)
@@ -215,7 +208,7 @@ def _layers(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
 def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
     """Yield the contact pressures."""
     group, p = "pressure", contact.pressure
-    mean, touching = float(contact.force) / nominal_area(result), int((p > 0.0).sum())
+    mean, touching = float(contact.force) / result.attributes["nominal_area"], int((p > 0.0).sum())
     yield KeyNumber("mean_pressure", group, "mean over the nominal annulus", mean, "MPa")
     note = f"of {result.line.n}" + ("" if touching else ": the faces do not touch")
     if touching:
@@ -230,7 +223,7 @@ def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
 
 
 def _loads(
-    result: Result, contact: ContactState, laboratory: Mapping[str, KeyNumber]
+    result: Result, contact: ContactState, laboratory: Mapping[str, float]
 ) -> Iterator[KeyNumber]:
     """Yield approach, force, torque and energy, and the sliding at the mean radius."""
     about, histories = result.attributes, result.histories
@@ -240,8 +233,10 @@ def _loads(
     yield KeyNumber("dissipated_energy", "load", "dissipated energy", energy, "J")
     yield KeyNumber("approach", "load", "approach", float(contact.approach), "mm")
     speed = float(about["omega"] * about["mean_radius"])
-    yield KeyNumber("speed", SLIDING, "speed", speed, "mm/s")
-    yield from (laboratory[name] for name in ("p_v", "distance"))
+    group = "sliding at the mean radius"
+    yield KeyNumber("speed", group, "speed", speed, "mm/s")
+    yield KeyNumber("p_v", group, "p V", laboratory["pressure_velocity"], "MPa m/s")
+    yield KeyNumber("distance", group, "distance", laboratory["sliding_distance"], "m")
 
 
 def _stresses(result: Result, last: State) -> Iterator[KeyNumber]:

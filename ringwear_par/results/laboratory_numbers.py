@@ -5,7 +5,6 @@ They follow from what is stored of a history, so that files do not store them at
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,67 +13,38 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.results.result import HistoryColumns, Result
-from ringwear_par.results.variables import Variable
+from ringwear_par.results.variables import Variable, variable_table
 from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, stack
 
 _HOUR = 3600.0
 
 
-@dataclass(frozen=True)
-class LaboratoryNumber:
-    """A number that laboratories report: its variable, and its name among the key numbers."""
-
-    variable: Variable
-    #: name and group of the key number, and its own name within the group
-    key: str
-    group: str
-    label: str
-
-    def at_end(self) -> Variable:
-        """Return the variable of the end of a history."""
-        return replace(self.variable, dimensions=())
-
-
-def _of_bodies(
-    name: str, key: str, label: str, unit: str, meaning: str
-) -> dict[str, LaboratoryNumber]:
-    names = {body: f"{name}_{body}" for body in BODIES}
-    return {
-        names[body]: LaboratoryNumber(
-            Variable(names[body], ("step",), unit, meaning.format(body)),
-            f"{body}_{key}", body, label,
-        )
-        for body in BODIES
-    }  # fmt: skip
-
-
-SLIDING = "sliding at the mean radius"
-#: by name
-LABORATORY_NUMBERS = {
-    **_of_bodies(
-        "mass_lost", "mass", "mass lost", "mg",
-        "mass lost by the {} ring, by its density; nothing where that is not given",
+_OF_BODIES = {
+    "mass_lost": (
+        "mg", "mass lost by the {} ring, by its density; nothing where that is not given",
     ),
-    **_of_bodies(
-        "mean_wear_rate", "mean_rate", "mean rate", "um/h",
+    "mean_wear_rate": (
+        "um/h",
         "mean rate of wear of the {} ring since the start: volume over contact area and time",
     ),
-    **_of_bodies(
-        "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
+    "specific_wear_rate": (
+        "mm3/(N m)",
         "specific wear rate of the {} ring since the start: volume over force and distance",
     ),
-    "sliding_distance": LaboratoryNumber(
-        Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
-        "distance", SLIDING, "distance",
-    ),
-    "pressure_velocity": LaboratoryNumber(
-        Variable(
-            "pressure_velocity", ("step",), "MPa m/s",
-            "p V: mean pressure on the nominal area times speed at the mean radius",
-        ),
-        "p_v", SLIDING, "p V",
-    ),
 }  # fmt: skip
+#: the variables of these numbers at stored states, by name
+LABORATORY_NUMBERS = variable_table(
+    *(
+        Variable(f"{name}_{body}", ("step",), unit, meaning.format(body))
+        for name, (unit, meaning) in _OF_BODIES.items()
+        for body in BODIES
+    ),
+    Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
+    Variable(
+        "pressure_velocity", ("step",), "MPa m/s",
+        "p V: mean pressure on the nominal area times speed at the mean radius",
+    ),
+)  # fmt: skip
 
 
 def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
@@ -105,27 +75,22 @@ def end_numbers(
     columns : theirs, as stored.
     normal_work : (B,) N mm, see ``_numbers``.
     """
-    stored = np.diff(columns.offsets) > 0
-    last = columns.offsets[1:][stored] - 1
-    known = [cases[i] for i in np.flatnonzero(stored).tolist()]
-    if not known:
+    stored, last = np.diff(columns.offsets) > 0, columns.offsets[1:] - 1
+    if not stored.any():
         return {}
     volumes, densities = {}, {}
     for i, body in enumerate(BODIES):
-        if any(case.laws[i] is not None for case in known):
+        if any(case.laws[i] is not None for case in cases):
             volumes[body] = columns.layers.get(
                 f"worn_volume_{body}_layers", columns.histories[f"worn_volume_{body}"][:, None]
             )[last]
-            densities[body] = np.array([case.rings[i].densities for case in known], dtype=float)
-    numbers = {}
-    for name, values in _numbers(
-        columns.histories["time"][last], columns.histories["force"][last], normal_work[stored],
-        stack([case.load.omega for case in known]), known[0].area, known[0].mean_radius, volumes,
+            densities[body] = np.array([case.rings[i].densities for case in cases], dtype=float)
+    numbers = _numbers(
+        columns.histories["time"][last], columns.histories["force"][last], normal_work,
+        stack([case.load.omega for case in cases]), cases[0].area, cases[0].mean_radius, volumes,
         densities,
-    ).items():  # fmt: skip
-        numbers[name] = np.full(len(cases), np.nan)
-        numbers[name][stored] = values
-    return numbers
+    )  # fmt: skip
+    return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
 
 
 def _numbers(
@@ -188,12 +153,10 @@ def _normal_work(result: Result) -> FloatArray:
     that the end is what the history knows.
     """
     energy, time = result.histories["dissipated_energy"], result.histories["time"]
-    friction, last = schedule_of(result.attributes, "friction"), result.checkpoint
-    means = mean(friction, time[:-1], time[1:])
+    means = mean(schedule_of(result.attributes, "friction"), time[:-1], time[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
         work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
-        if last is not None and last.state.time == time[-1]:
-            end = float(last.state.normal_work)
-            work *= end / work[-1] if isinstance(friction, Table) else 1.0
-            work[-1] = end
+        if (last := result.checkpoint) is not None and last.state.time == time[-1]:
+            work *= last.state.normal_work / work[-1]
+            work[-1] = last.state.normal_work  # without friction, too
     return work

@@ -10,7 +10,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, LaboratoryNumber
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
     DISPLAY_UNITS,
     HISTORIES,
@@ -85,9 +85,9 @@ def _stress(source: Variable) -> EndValue:
     return replace(end_value, smooth=source.unit == "MPa")
 
 
-def _of_laboratory(number: LaboratoryNumber) -> EndValue:
-    stored, meaning = number.at_end(), number.variable.meaning
-    stored = replace(stored, dimensions=("case",), meaning=f"{meaning}, at the last stored step")
+def _of_laboratory(number: Variable) -> EndValue:
+    meaning = f"{number.meaning}, at the last stored step"
+    stored = replace(number, dimensions=("case",), meaning=meaning)
     return EndValue(stored.name, stored.name, stored, smooth=False)
 
 
@@ -153,19 +153,16 @@ class Display(NamedTuple):
 
 _BODY = {
     "worn_volume": Display(1.0, "worn volume", _MM3),
+    "mass_lost": Display(1.0, "mass lost", "mg"),
+    "mean_wear_rate": Display(1.0, "mean rate", in_signs("um/h")),
+    "specific_wear_rate": Display(1.0, "specific wear rate", in_signs("mm3/(N m)")),
     "share_through": Display(100.0, "share worn through", "%"),
     "time_through": Display(1.0, "worn through from", "s"),
     "least_layer_left": Display(1e3, "least left of layers", _UM),
 }
 _DISPLAYS = {
-    **{
-        name: Display(
-            1.0,
-            f"{number.label}, {number.group}" if number.group in BODIES else number.label,
-            in_signs(number.variable.unit),
-        )
-        for name, number in LABORATORY_NUMBERS.items()
-    },
+    "sliding_distance": Display(1.0, "distance", "m"),
+    "pressure_velocity": Display(1.0, "p V", "MPa m/s"),
     **{
         name: Display(factor, name.replace("_", " "), in_signs(unit))
         for name in MAIN_END_VALUES
@@ -180,7 +177,7 @@ _DISPLAYS = {
     **{
         f"{name}_{body}": display._replace(name=f"{display.name}, {body}")
         for name, display in _BODY.items()
-        for body in ("lower", "upper")
+        for body in BODIES
     },
     **{
         name: display._replace(name=f"{display.name}, {body}")

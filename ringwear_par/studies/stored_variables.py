@@ -30,7 +30,7 @@ FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point
 OF_A_CASE = {
     **TIMES_THROUGH, **POINTS,
-    **{name: number.at_end() for name, number in LABORATORY_NUMBERS.items()},
+    **{name: replace(v, dimensions=()) for name, v in LABORATORY_NUMBERS.items()},
 }  # fmt: skip
 #: the stored variables of a case's history; all but ``HISTORIES`` are of some cases only
 STORED = {**AT_STATES, **LINE, **FIELDS, **OF_A_CASE}

@@ -70,9 +70,8 @@ def test_the_dataset_is_that_of_the_file(computed, case, words):
     dataset = result.to_xarray()
     xarray.testing.assert_identical(stored, dataset)
     xarray.testing.assert_identical(stored, open_result(path).to_xarray())
-    numbers = {name: number.variable for name, number in LABORATORY_NUMBERS.items()}
     fields = {**PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT}
-    table = {**HISTORIES, **LINE, **numbers, **fields, "step": STEP, "element": ELEMENT,
+    table = {**HISTORIES, **LINE, **LABORATORY_NUMBERS, **fields, "step": STEP, "element": ELEMENT,
              "steps_made": STEPS_MADE}  # fmt: skip
     for name, values in stored.variables.items():
         variable = table[name]
