@@ -181,25 +181,21 @@ def _layers(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
     wear, times = result.profiles.get(f"wear_{body}"), result.histories["time"]
     if wear is None or wear.ndim == 1:
         wear, times = state.wear[i][None], state.time[None]
-    innermost = len(volumes) - 1
     for layer, end in enumerate(result.data.get(f"layer_end_{body}", ())):
         gone = wear >= end * (1.0 - _ON)
-        through, area, time = f"through_layer_{layer}", share(line.area, gone[-1]), np.nan
-        label, first = f"area without layer {layer}", int(gone.any(axis=1).argmax())
         if gone.any():
-            time = float(times[first])
-        if layer == innermost:
-            through, label = "through", "area without layers"
-            area = float(result.layers[f"share_through_{body}"][-1])
-            time = float(result.attributes.get(f"time_through_{body}", np.nan))
-        if layer == innermost or gone.any():
-            yield number(f"share_{through}", label, 100.0 * area, "%")
-        if not np.isnan(time):
-            yield number(f"time_{through}", f"{label}, first at time", time, "s")
-        if gone.any():
+            first, label = int(gone.any(axis=1).argmax()), f"area without layer {layer}"
             deepest = int(np.where(gone[first], wear[first] - end, -np.inf).argmax())
+            through, percent = f"through_layer_{layer}", 100.0 * share(line.area, gone[-1])
+            yield number(f"share_{through}", label, percent, "%")
+            yield number(f"time_{through}", f"{label}, first by time", float(times[first]), "s")
             r = float(line.r[deepest])
             yield number(f"r_{through}", f"{label}, first at radius", r, "mm")
+    percent = 100.0 * float(result.layers[f"share_through_{body}"][-1])
+    yield number("share_through", "area without layers", percent, "%")
+    time = float(result.attributes.get(f"time_through_{body}", np.nan))
+    if not np.isnan(time):
+        yield number("time_through", "area without layers, first at time", time, "s")
     left = 1e3 * np.atleast_2d(result.layers[f"layer_left_{body}"])[-1]
     yield number("least_left", "least thickness left", float(left.min()), "um")
     yield number("most_left", "largest thickness left", float(left.max()), "um")
