@@ -26,7 +26,7 @@ from ringwear_par.explorer.figures import CASE_FILE, MENU, PINNED, Drawing, figu
 from ringwear_par.explorer.measured import LARGEST, MeasuredColumn, read_table
 from ringwear_par.pictures.rig import rig_address
 from ringwear_par.reports.report import html_text
-from ringwear_par.reports.run_page import answers, key_rows, run_page, worn_table
+from ringwear_par.reports.run_page import answers, key_rows, run_page
 from ringwear_par.results.key_numbers import KeyNumber, key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
@@ -322,7 +322,6 @@ class Page:
         }
         drawing = Drawing(result, compared, explored.case, float(request["instant"]), menu, good)
         numbers = key_numbers(result)
-        worn = worn_table(numbers)
         self._tell(
             {
                 "n": n, "faults": self._faults,
@@ -338,7 +337,6 @@ class Page:
                     lambda numbers: [(t.label, t.value, t.unit) for t in answers(numbers)],
                     numbers, references,
                 ),
-                "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
             }

@@ -22,6 +22,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.pictures.matplotlib import add_letters, draw, draw_labels
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
+from ringwear_par.pictures.run_panels import stages
 from ringwear_par.pictures.style import (
     MM_OF_INCH,
     STYLE,
@@ -32,7 +33,6 @@ from ringwear_par.pictures.style import (
     save_figure,
 )
 from ringwear_par.results.files import result_of
-from ringwear_par.results.key_numbers import stages
 from ringwear_par.results.result import FailedResult, Result
 
 log = logging.getLogger(__name__)

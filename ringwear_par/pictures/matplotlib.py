@@ -8,12 +8,11 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize, to_rgba
+from matplotlib.colors import to_rgba
 from matplotlib.legend import Legend
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from ringwear_par.pictures.panel import Axis, Curve, Label, Panel, Stages
+from ringwear_par.pictures.panel import Axis, Curve, Label, Panel
 from ringwear_par.pictures.style import (
     DASHES,
     STYLE,
@@ -21,7 +20,6 @@ from ringwear_par.pictures.style import (
     number_text,
     plain,
     set_legend,
-    stage_colour,
 )
 
 #: letters of labels in a line of a legend, letters that the mark beside each takes, and most
@@ -33,7 +31,7 @@ _LETTERS_OF_INCH = 15.0
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
 #: width of the edges of bands, whose fillings are pale, and number of colours in a bar of times
-_EDGE, _SHADES = 0.6, 256
+_EDGE = 0.6
 #: most intervals between numbers of an axis below, whose labels would run together
 _MOST_INTERVALS = 6
 #: most points that vector drawings draw one by one; more are a picture, else files would be large
@@ -89,19 +87,10 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             label=plain(bars.name),
             error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
         )  # fmt: skip
-    if panel.stages is not None:
-        _draw_stages(axes, panel.stages)
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
     if columns:
         add_legend(axes, panel.legend, columns)
-
-
-def _draw_stages(axes: Any, stages: Stages) -> None:
-    """Draw a bar of the colours of stages in time."""
-    shades = ListedColormap([stage_colour(share) for share in np.linspace(0.0, 1.0, _SHADES)])
-    colours = ScalarMappable(Normalize(stages.low, stages.high), shades)
-    axes.figure.colorbar(colours, ax=axes, label=stages.label)
 
 
 def panel_figure(

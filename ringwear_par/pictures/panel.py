@@ -133,16 +133,6 @@ class Bars:
 
 
 @dataclass(frozen=True)
-class Stages:
-    """A bar of the colours of stages in time, in the place of a legend of many."""
-
-    low: float
-    high: float
-    #: with the unit of time
-    label: str
-
-
-@dataclass(frozen=True)
 class Panel:
     """A chart."""
 
@@ -156,7 +146,6 @@ class Panel:
     bands: Sequence[Band] = ()
     points: Sequence[Points] = ()
     bars: Sequence[Bars] = ()
-    stages: Stages | None = None
     #: values at which dotted lines go across
     levels: tuple[float, ...] = ()
     #: go up

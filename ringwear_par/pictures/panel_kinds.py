@@ -21,7 +21,6 @@ from ringwear_par.pictures.stresses import (
     largest,
 )
 from ringwear_par.results.export import boundary_states
-from ringwear_par.results.key_numbers import pressure_peak
 from ringwear_par.results.layers import check_grid, interfaces_of, nearest_states, stresses
 from ringwear_par.results.result import Result
 
@@ -42,10 +41,7 @@ class Item(NamedTuple):
 
 
 def _pressures(items: Sequence[Item]) -> Iterator[Drawing]:
-    top = max(
-        pressure_peak(result).top(float(result.profiles["pressure"][list(rows)].max()))
-        for result, _, rows, _ in items
-    )
+    top = max(run_panels.pressure_top(result, rows) for result, _, rows, _ in items)
     for result, label, rows, _ in items:
         yield _titled(run_panels.pressure(result, rows, top), label)
 

@@ -10,21 +10,10 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points, Stages
+from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
-from ringwear_par.results.key_numbers import (
-    instants,
-    nominal_area,
-    pressure_peak,
-    stages,
-    time_unit,
-)
-from ringwear_par.results.laboratory_numbers import (
-    laboratory_inputs,
-    laboratory_numbers,
-    schedule_of,
-)
-from ringwear_par.results.layers import ends_near_wear
+from ringwear_par.results.key_numbers import number_words, time_unit, time_words
+from ringwear_par.results.laboratory_numbers import laboratory_numbers, schedule_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time
@@ -32,7 +21,11 @@ from ringwear_par.schedules import in_time
 RADIUS = "distance to axis (mm)"
 #: share of the width of the contact for which unworn faces are drawn beside it
 _BESIDE = 0.15
-#: most times that a legend names; more are shown in a bar of colours
+#: multiple of the deepest wear within which the end of a layer below the face is drawn
+_FAR = 1.5
+#: end of a scale of pressures over the highest one that is drawn
+_ROOM = 1.1
+#: most times that a legend names
 _NAMED = 8
 
 
@@ -66,7 +59,7 @@ def _volumes(result: Result) -> dict[str, FloatArray]:
 def _rates(result: Result) -> dict[str, FloatArray]:
     """Return the mean depths worn off between stored states by their time, um/h."""
     hours = np.diff(result.histories["time"]) / 3600.0
-    area = nominal_area(result)
+    area = result.attributes["nominal_area"]
     return {body: 1e3 * np.diff(v) / area / hours for body, v in _volumes(result).items()}
 
 
@@ -100,7 +93,7 @@ HISTORY_PANELS = {
     "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
     "pv": HistoryPanel(
         "p V at the mean radius (MPa m/s)",
-        lambda result: {"": laboratory_numbers(laboratory_inputs(result))["pressure_velocity"]},
+        lambda result: {"": laboratory_numbers(result)["pressure_velocity"]},
     ),
 }
 
@@ -199,7 +192,10 @@ def worn_faces(
     for number, body in enumerate(bodies):
         drawn = at_states(result, worn_depth(result, body), rows)
         curves += [replace(curve, dash=number) for curve in drawn] if both else drawn
-        for layer, end in ends_near_wear(result, body).items():
+        deepest = float(result.profiles[f"wear_{body}"].max())
+        for layer, end in enumerate(result.data.get(f"layer_end_{body}", ())):
+            if end.min() > _FAR * deepest:
+                continue
             name, depth = f"end of layer {layer}", 1e3 * end
             curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
             place = float(result.line.edges[-1]), float(depth[-1])
@@ -212,7 +208,6 @@ def worn_faces(
     return Panel(
         Axis(RADIUS, ends=(low, high)), Axis(label, reversed=True), label,
         "lower solid, upper dashed" if both else "", curves=curves, labels=labels,
-        stages=bar_of_stages(result, rows),
     )  # fmt: skip
 
 
@@ -226,19 +221,44 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
         where singular edges of the first instant are cut.
     """
     label, values = "contact pressure (MPa)", result.profiles["pressure"]
-    peak = pressure_peak(result)
-    top = top or peak.top(peak.highest)
-    drawn = stages(result.histories["time"]) if rows is None else rows
-    colours = stage_colours(result.histories["time"][drawn])
+    time, highest = result.histories["time"], values.max(axis=1)
+    top, peak, note = top or pressure_top(result), int(highest.argmax()), ""
+    if highest[peak] > top:
+        when = time_words(float(time[peak]), float(time[-1]))
+        note = f"peak of {number_words(float(highest[peak]))} MPa at {when} not shown"
+    drawn = stages(time) if rows is None else rows
+    colours = stage_colours(len(drawn))
     marks = [
         Points(result.line.r[edge], values[row][edge], "contact edge", colour, 6.0, hollow=True)
         for row, colour in zip(drawn, colours, strict=True)
         if (edge := edge_elements(values[row]) & (values[row] > 0.0)).any()
     ]  # fmt: skip
     return Panel(
-        Axis(RADIUS), Axis(label, ends=(0.0, top)), label, peak.note(top),
-        curves=at_states(result, values, rows), points=marks, stages=bar_of_stages(result, rows),
+        Axis(RADIUS), Axis(label, ends=(0.0, top)), label, note,
+        curves=at_states(result, values, rows), points=marks,
     )  # fmt: skip
+
+
+def pressure_top(result: Result, rows: Sequence[int] | None = None) -> float:
+    """Return where the scale of pressures, MPa, of some stored states ends; None: of all."""
+    pressure = result.profiles["pressure"]
+    drawn = float((pressure if rows is None else pressure[list(rows)]).max())
+    return min(pressure_limit(result.line.area, pressure), _ROOM * drawn) or 1.0
+
+
+def pressure_limit(area: FloatArray, pressure: FloatArray) -> float:
+    """Return the pressure, MPa, that scales of states (s, n) on areas (n,) end with at most.
+
+    Edges of the first instant are infinite: three times the highest mean over what touches.
+    """
+    touched = (pressure > 0.0) @ area
+    return 3.0 * float((pressure @ area / np.where(touched > 0.0, touched, np.inf)).max())
+
+
+def stages(time: FloatArray) -> list[int]:
+    """Return the states (s,) that are drawn by default: the first step, four quarters of time."""
+    instants = [time[min(1, len(time) - 1)], *(0.25 * q * time[-1] for q in range(1, 5))]
+    return sorted({int(np.abs(time - instant).argmin()) for instant in instants})
 
 
 def worn_depth(result: Result, body: BodyName) -> FloatArray:
@@ -257,30 +277,18 @@ def at_states(result: Result, values: Any, rows: Sequence[int] | None = None) ->
 
 
 def stage_styles(times: FloatArray, end: float) -> list[tuple[str, str, int]]:
-    """Return name, colour and dash of stages in time, s; many have no names, see ``Stages``."""
-    colours, words = stage_colours(times), instants(times.tolist(), end)
-    if len(times) > _NAMED:
-        return [("", colour, 0) for colour in colours]
-    return [(*style, dash) for dash, style in enumerate(zip(words, colours, strict=True))]
+    """Return name, colour and dash of stages in time, s; of many, the last and some others."""
+    every = -(-len(times) // _NAMED)
+    names = [time_words(time, end) for time in times.tolist()]
+    return [
+        (names[i] if (len(times) - 1 - i) % every == 0 else "", colour, i if every == 1 else 0)
+        for i, colour in enumerate(stage_colours(len(times)))
+    ]
 
 
-def stage_colours(times: FloatArray) -> list[str]:
-    """Return the colours of stages in time: of many by their times, of few evenly."""
-    places = times if len(times) > _NAMED else np.arange(len(times))
-    span = float(np.ptp(places))
-    return [stage_colour(float(share)) for share in (places - places[0]) / span] if span else [
-        stage_colour(1.0) for _ in places
-    ]  # fmt: skip
-
-
-def bar_of_stages(result: Result, rows: Sequence[int] | None) -> Stages | None:
-    """Return the bar of the colours of stored states that are too many for a legend."""
-    if rows is None or len(rows) <= _NAMED:
-        return None
-    time = result.histories["time"]
-    unit, seconds = time_unit(float(time[-1]))
-    low, high = (time[[rows[0], rows[-1]]] / seconds).tolist()
-    return Stages(low, high, f"time ({unit})")
+def stage_colours(count: int) -> list[str]:
+    """Return the colours of stages in time."""
+    return [stage_colour(float(share)) for share in np.linspace(1.0, 0.0, count)[::-1]]
 
 
 def at_instant(result: Result, values: FloatArray) -> Curve:

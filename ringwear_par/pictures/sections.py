@@ -11,9 +11,10 @@ from matplotlib.patches import Polygon
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields
+from ringwear_par.pictures.run_panels import pressure_limit
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.export import boundary_states
-from ringwear_par.results.key_numbers import pressure_limit, time_words
+from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Result
 
 #: what the largest displacement is drawn as, over the size of both bodies; what the deepest face
@@ -112,7 +113,7 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
     # singular edges of the first instant would take all the colours
     ends = np.sort(state.bodies[0].nodes[faces[0]][:, [0, 2], 0], axis=1)
     area = math.pi * np.diff(np.square(ends), axis=1)[:, 0]  # of elements, or of parts of them
-    top = pressure_limit(area, p[None], np.array([area @ p]))
+    top = pressure_limit(area, p[None])
     pressure = LineCollection(
         list(lower[faces[0]]), cmap="plasma", linewidth=2.5, capstyle="round", zorder=3
     )

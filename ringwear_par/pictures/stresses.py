@@ -16,7 +16,7 @@ from ringwear_par.pictures.panel import FEW_POINTS, Axis, Band, Curve, Label, Pa
 from ringwear_par.pictures.run_panels import RADIUS, stage_styles
 from ringwear_par.pictures.sections import magnification
 from ringwear_par.pictures.style import CASING, COLOURS
-from ringwear_par.results.key_numbers import instants, time_unit
+from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.layers import Interface, interfaces_of, stresses
 from ringwear_par.results.result import Result
 
@@ -91,7 +91,7 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     axes.set_aspect(stretch)
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
-    (time,) = instants([state.time], float(result.histories["time"][-1]))
+    time = time_words(state.time, float(result.histories["time"][-1]))
     scales = {}
     if stretch != 1.0:
         scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
@@ -292,7 +292,7 @@ def _along(
             Curve(r, curve, name, COLOURS[number], number)
             for number, (curve, name) in enumerate(zip(state_values, names, strict=True))
         ]
-        (time,) = instants([state.time], end_time)
+        time = time_words(state.time, end_time)
         lines = [": ".join(filter(None, (label, time))), interface.name, note]
         yield Panel(
             Axis(RADIUS, ends=(low, high)), Axis("", ends=(bottom, top)),

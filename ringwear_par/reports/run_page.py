@@ -1,7 +1,6 @@
 """The page of a run."""
 
 import io
-import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -9,21 +8,16 @@ import numpy as np
 
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.errors import warning_lines
 from ringwear_par.pictures import run_panels
 from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports import blocks as page
 from ringwear_par.reports.case_words import case_words
-from ringwear_par.results.key_numbers import (
-    KeyNumber,
-    check_numbers,
-    in_groups,
-    instants,
-    key_numbers,
-)
+from ringwear_par.results.key_numbers import KeyNumber, check_numbers, key_numbers, time_words
 from ringwear_par.results.layers import nearest_states
 from ringwear_par.results.result import Result
-from ringwear_par.results.summary import checks, early_end
+from ringwear_par.results.summary import checks, early_end, warnings_of
 
 #: most times on a slider
 _SLIDER = 120
@@ -38,29 +32,17 @@ def run_page(result: Result) -> page.Page:
     ------
     InputError : the result was stored without its last state.
     """
-    numbers = key_numbers(result)
-    lines = with_signs(result.summary(verbose=True)).splitlines()
-    title = str(result.attributes.get("title", ""))
-    if title:
-        del lines[0]
-    doubts = [line for line in lines if line.startswith("warning")]
-    rig, case = case_words(result)
+    numbers, (rig, case) = key_numbers(result), case_words(result)
+    doubts = warning_lines(map(with_signs, warnings_of(result)))
     wrong, errors = checks(result)
-    passed = page.checks_tile(
-        len(doubts), with_signs("; ".join([*map(str, wrong), errors])), len(wrong)
-    )
+    passed = page.checks_tile(len(doubts), with_signs("; ".join([*wrong, errors])), len(wrong))
     blocks: list[page.Block] = [page.Tiles([*answers(numbers), passed]), *rig]
     if early := early_end(result):
         blocks.append(page.Lines([f"Ended {early}."]))
     if doubts:
         blocks.append(page.Lines(doubts, warning=True))
-    blocks.append(
-        page.Lines([line for line in lines if line not in doubts], folded="Summary in full")
-    )
     header = ("quantity", "value", "unit")
     blocks.append(page.Table("Key numbers, at the end", header, key_rows(numbers)))
-    if (worn := worn_table(numbers)) is not None:
-        blocks.append(worn)
     sections = [page.Section("Summary", blocks)]
     drawn = profiles(result)
     absence = "No profiles are stored at several times (output.fields, output.profiles)."
@@ -74,7 +56,11 @@ def run_page(result: Result) -> page.Page:
     sections.append(page.Section("The case", case))
     sections.append(page.Section("Balances", [_errors(result)]))
     sections.append(_reproduced(result))
-    return page.Page("Wear history of a test", title or "Run without a title", sections)
+    return page.Page(
+        "Wear history of a test",
+        str(result.attributes.get("title") or "Run without a title"),
+        sections,
+    )
 
 
 def answers(numbers: Iterable[KeyNumber]) -> list[page.Tile]:
@@ -92,8 +78,8 @@ def answers(numbers: Iterable[KeyNumber]) -> list[page.Tile]:
               ("torque", "torque")]  # fmt: skip
     for name, label in labels:
         number = known.get(name)
-        if number is not None and not math.isnan(number.value):
-            tiles.append(page.Tile(label, number.short, in_signs(number.unit)))
+        if number is not None and number.known:
+            tiles.append(page.Tile(label, number.text, in_signs(number.unit)))
     return tiles
 
 
@@ -125,33 +111,17 @@ def profiles(result: Result) -> page.Charts | None:
         chosen = run_panels.at_instant(result, values[rows[-1]])
         panel = replace(panel, curves=[*panel.curves, chosen])
         charts.append(page.Chart(name, panel, label, 400, frames))
-    return page.Charts(charts, instants(time[rows].tolist(), float(time[-1])), len(rows) - 1)
+    instants = [time_words(t, float(time[-1])) for t in time[rows].tolist()]
+    return page.Charts(charts, instants, len(rows) - 1)
 
 
 def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:
-    """Return key numbers as rows of name, value and unit; those of bodies have another table."""
-    return [
-        (
-            f"{number.group}, {number.label}" + f" ({number.note})" * bool(number.note),
-            number.short, in_signs(number.unit),
-        )
-        for number in numbers
-        if number.group not in BODIES
-    ]  # fmt: skip
-
-
-def worn_table(numbers: Iterable[KeyNumber]) -> page.Table | None:
-    """Return the wear of each body, None where nothing wears."""
-    bodies = {body: rows for body, rows in in_groups(numbers).items() if body in BODIES}
-    columns = {row.label: row.unit for rows in bodies.values() for row in rows}
-    if not bodies:
-        return None
-    header = ("body", *(f"{label} ({in_signs(unit)})" for label, unit in columns.items()))
-    cells = {body: {row.label: row.note or row.short for row in bodies[body]} for body in bodies}
-    rows = [
-        (body, *(cells[body].get(label, "\N{EN DASH}") for label in columns)) for body in bodies
-    ]
-    return page.Table("Wear", header, rows)
+    """Return key numbers as rows of name, value and unit."""
+    rows = []
+    for number in numbers:
+        name = f"{number.group}, {number.label}" + f" ({number.note})" * bool(number.note)
+        rows.append((name, number.text, in_signs(number.unit)))
+    return rows
 
 
 def _errors(result: Result) -> page.Table:

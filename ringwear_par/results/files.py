@@ -20,11 +20,7 @@ from ringwear_par.files.writing import check_writable
 from ringwear_par.history.state import Start
 from ringwear_par.results import hdf5
 from ringwear_par.results.fields import stress_measures
-from ringwear_par.results.laboratory_numbers import (
-    LABORATORY_NUMBERS,
-    laboratory_inputs,
-    laboratory_numbers,
-)
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, laboratory_numbers
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.variables import (
     COORDINATES,
@@ -72,8 +68,8 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
         data[EDGE_ELEMENT.name] = edge_elements(data["pressure"]).astype(EDGE_ELEMENT.dtype)
     data |= stress_measures(data)
     pairs = {name: (_variable(name, data), values) for name, values in data.items()}
-    numbers = laboratory_numbers(laboratory_inputs(result))
-    pairs |= {name: (LABORATORY_NUMBERS[name].variable, v) for name, v in numbers.items()}
+    numbers = laboratory_numbers(result)
+    pairs |= {name: (LABORATORY_NUMBERS[name], v) for name, v in numbers.items()}
     axes: dict[str, tuple[Variable, Any]] = {}
     for name, (variable, values) in pairs.items():
         group = name[: name.rfind("/") + 1]

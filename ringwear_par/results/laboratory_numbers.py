@@ -5,7 +5,6 @@ They follow from what is stored of a history, so that files do not store them at
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,121 +19,118 @@ from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, sta
 _HOUR = 3600.0
 
 
-@dataclass(frozen=True)
-class LaboratoryNumber:
-    """A number that laboratories report: its variable, and its name among the key numbers."""
-
-    variable: Variable
-    #: name and group of the key number, and its own name within the group
-    key: str
-    group: str
-    label: str
-
-    def at_end(self) -> Variable:
-        """Return the variable of the end of a history."""
-        return replace(self.variable, dimensions=())
-
-
-def _of_bodies(
-    name: str, key: str, label: str, unit: str, meaning: str
-) -> dict[str, LaboratoryNumber]:
-    names = {body: f"{name}_{body}" for body in BODIES}
-    return {
-        names[body]: LaboratoryNumber(
-            Variable(names[body], ("step",), unit, meaning.format(body)),
-            f"{body}_{key}", body, label,
-        )
-        for body in BODIES
-    }  # fmt: skip
-
-
-SLIDING = "sliding at the mean radius"
-#: by name
-LABORATORY_NUMBERS = {
-    **_of_bodies(
-        "mass_lost", "mass", "mass lost", "mg",
-        "mass lost by the {} ring, by its density; nothing where that is not given",
+_OF_BODIES = {
+    "mass_lost": (
+        "mg", "mass lost by the {} ring, by its density; nothing where that is not given",
     ),
-    **_of_bodies(
-        "mean_wear_rate", "mean_rate", "mean rate", "um/h",
+    "mean_wear_rate": (
+        "um/h",
         "mean rate of wear of the {} ring since the start: volume over contact area and time",
     ),
-    **_of_bodies(
-        "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
+    "specific_wear_rate": (
+        "mm3/(N m)",
         "specific wear rate of the {} ring since the start: volume over force and distance",
     ),
-    "sliding_distance": LaboratoryNumber(
+}  # fmt: skip
+#: the variables of these numbers at stored states, by name
+LABORATORY_NUMBERS = {
+    variable.name: variable
+    for variable in (
+        *(
+            Variable(f"{name}_{body}", ("step",), unit, meaning.format(body))
+            for name, (unit, meaning) in _OF_BODIES.items()
+            for body in BODIES
+        ),
         Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
-        "distance", SLIDING, "distance",
-    ),
-    "pressure_velocity": LaboratoryNumber(
         Variable(
             "pressure_velocity", ("step",), "MPa m/s",
             "p V: mean pressure on the nominal area times speed at the mean radius",
         ),
-        "p_v", SLIDING, "p V",
-    ),
+    )
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class LaboratoryInputs:
-    """What laboratory numbers follow from: states of one history, or the ends of several."""
-
-    #: (s,) s
-    time: FloatArray
-    #: (s,) N
-    force: FloatArray
-    #: (s,) N mm, pressure times sliding distance, over all places; NaN where it is not known
-    normal_work: FloatArray
-    #: rad/s, a number or a table in time
-    omega: Quantity
-    #: mm2, and mm
-    area: float
-    mean_radius: float
-    #: (s, layers + 1) mm3 of lower and upper, the body itself last; None of what does not wear
-    volumes: Sequence[FloatArray | None]
-    #: (layers + 1,) or (s, layers + 1) g/mm3, NaN where unknown
-    densities: Sequence[FloatArray]
+def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
+    """Return the numbers of the stored states of a result (s,) by name; those that there are."""
+    about, histories = result.attributes, result.histories
+    volumes = {
+        body: result.layers.get(
+            f"worn_volume_{body}_layers", histories[f"worn_volume_{body}"][:, None]
+        )
+        for body in BODIES
+        if about[f"law_{body}"]
+    }
+    return _numbers(
+        histories["time"], histories["force"], _normal_work(result), schedule_of(about, "omega"),
+        float(about["nominal_area"]), float(about["mean_radius"]), volumes,
+        {body: densities_of(result, body) for body in volumes},
+    )  # fmt: skip
 
 
-def laboratory_numbers(inputs: LaboratoryInputs) -> dict[str, FloatArray]:
-    """Return the numbers of states (s,) by name; those that there are."""
-    time, radius = inputs.time, inputs.mean_radius
+def end_numbers(
+    cases: Sequence[Case], columns: HistoryColumns, normal_work: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the numbers at the last stored states of B histories on one contact pair, (B,).
+
+    Parameters
+    ----------
+    cases : theirs.
+    columns : theirs, as stored.
+    normal_work : (B,) N mm, see ``_numbers``.
+    """
+    stored, last = np.diff(columns.offsets) > 0, columns.offsets[1:] - 1
+    if not stored.any():
+        return {}
+    volumes, densities = {}, {}
+    for i, body in enumerate(BODIES):
+        if any(case.laws[i] is not None for case in cases):
+            volumes[body] = columns.layers.get(
+                f"worn_volume_{body}_layers", columns.histories[f"worn_volume_{body}"][:, None]
+            )[last]
+            densities[body] = np.array([case.rings[i].densities for case in cases], dtype=float)
+    numbers = _numbers(
+        columns.histories["time"][last], columns.histories["force"][last], normal_work,
+        stack([case.load.omega for case in cases]), cases[0].area, cases[0].mean_radius, volumes,
+        densities,
+    )  # fmt: skip
+    return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
+
+
+def _numbers(
+    time: FloatArray,
+    force: FloatArray,
+    normal_work: FloatArray,
+    omega: Quantity,
+    area: float,
+    radius: float,
+    volumes: Mapping[BodyName, FloatArray],
+    densities: Mapping[BodyName, FloatArray],
+) -> dict[str, FloatArray]:
+    """Return the numbers of states (s,) of one history, or of the ends of several.
+
+    Parameters
+    ----------
+    time, force : (s,) s and N.
+    normal_work : (s,) N mm, pressure times sliding distance over all places; NaN where unknown.
+    omega : rad/s.
+    area, radius : of the nominal contact, mm2, and its mean, mm.
+    volumes : (s, layers + 1) mm3 of each body that wears, the body itself last.
+    densities : (layers + 1,) or (s, layers + 1) g/mm3 of these, NaN where unknown.
+    """
     numbers: dict[str, FloatArray] = {}
-    for body, volumes, densities in zip(BODIES, inputs.volumes, inputs.densities, strict=True):
-        if volumes is None:
-            continue
-        if not np.isnan(densities).all():
-            lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # nothing needs no density
+    for body, volume in volumes.items():
+        if not np.isnan(densities[body]).all():
+            lost = np.where(volume > 0.0, volume * densities[body], 0.0)  # of nothing: unknown too
             numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
         # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
-        worn = 1e3 * volumes.sum(axis=1)
-        for name, divisor in (
-            ("mean_wear_rate", inputs.area * time / _HOUR),
-            ("specific_wear_rate", inputs.normal_work),
-        ):
+        worn, hours = 1e3 * volume.sum(axis=1), time / _HOUR
+        for name, divisor in (("mean", area * hours), ("specific", normal_work)):
             unknown = np.full(worn.shape, np.nan)
-            numbers[f"{name}_{body}"] = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
-    angle, omega = integral(inputs.omega, 0.0, time), in_time(inputs.omega, time)
-    numbers["sliding_distance"] = 1e-3 * angle * radius
-    numbers["pressure_velocity"] = 1e-3 * inputs.force / inputs.area * omega * radius
+            rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
+            numbers[f"{name}_wear_rate_{body}"] = rate
+    numbers["sliding_distance"] = 1e-3 * integral(omega, 0.0, time) * radius
+    numbers["pressure_velocity"] = 1e-3 * force / area * in_time(omega, time) * radius
     return {name: numbers[name] for name in LABORATORY_NUMBERS if name in numbers}
-
-
-def laboratory_inputs(result: Result) -> LaboratoryInputs:
-    """Return the inputs of the numbers of a result, (stored states,) each."""
-    about, histories = result.attributes, result.histories
-    volumes, densities = [], []
-    for body in BODIES:
-        layers = result.layers.get(f"worn_volume_{body}_layers")
-        volume = histories[f"worn_volume_{body}"][:, None] if layers is None else layers
-        volumes.append(volume if about[f"law_{body}"] else None)
-        densities.append(densities_of(result, body))
-    return LaboratoryInputs(
-        histories["time"], histories["force"], _normal_work(result), schedule_of(about, "omega"),
-        float(about["nominal_area"]), float(about["mean_radius"]), volumes, densities,
-    )  # fmt: skip
 
 
 def densities_of(result: Result, body: BodyName) -> FloatArray:
@@ -160,47 +156,10 @@ def _normal_work(result: Result) -> FloatArray:
     that the end is what the history knows.
     """
     energy, time = result.histories["dissipated_energy"], result.histories["time"]
-    friction, last = schedule_of(result.attributes, "friction"), result.checkpoint
-    means = mean(friction, time[:-1], time[1:])
+    means = mean(schedule_of(result.attributes, "friction"), time[:-1], time[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
         work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
-        if last is not None and last.state.time == time[-1]:
-            end = float(last.state.normal_work)
-            work *= end / work[-1] if isinstance(friction, Table) else 1.0
-            work[-1] = end
+        if (last := result.checkpoint) is not None and last.state.time == time[-1]:
+            work *= last.state.normal_work / work[-1]
+            work[-1] = last.state.normal_work  # without friction, too
     return work
-
-
-def end_numbers(
-    cases: Sequence[Case], columns: HistoryColumns, normal_work: FloatArray
-) -> dict[str, FloatArray]:
-    """Return the numbers at the last stored states of B histories on one contact pair, (B,).
-
-    Parameters
-    ----------
-    cases : theirs.
-    columns : theirs, as stored.
-    normal_work : (B,) N mm, see ``LaboratoryInputs``.
-    """
-    stored = np.diff(columns.offsets) > 0
-    last = columns.offsets[1:][stored] - 1
-    known = [case for case, some in zip(cases, stored.tolist(), strict=True) if some]
-    if not known:
-        return {}
-    volumes, densities = [], []
-    for i, body in enumerate(BODIES):
-        layers = columns.layers.get(f"worn_volume_{body}_layers")
-        volume = columns.histories[f"worn_volume_{body}"][:, None] if layers is None else layers
-        volumes.append(volume[last] if any(case.laws[i] is not None for case in known) else None)
-        case_densities = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
-        densities.append(np.array(case_densities))
-    inputs = LaboratoryInputs(
-        columns.histories["time"][last], columns.histories["force"][last], normal_work[stored],
-        stack([case.load.omega for case in known]), known[0].area, known[0].mean_radius, volumes,
-        densities,
-    )  # fmt: skip
-    numbers = {}
-    for name, values in laboratory_numbers(inputs).items():
-        numbers[name] = np.full(len(cases), np.nan)
-        numbers[name][stored] = values
-    return numbers

@@ -198,12 +198,8 @@ class Result(Outcome):
         """Texts of the users' own laws by body."""
         return dict(json.loads(self.attributes["user_laws"]))
 
-    def summary(self, *, verbose: bool = False) -> str:
+    def summary(self) -> str:
         """Return it in a few lines, as ``ringwear run`` prints it.
-
-        Parameters
-        ----------
-        verbose : all key numbers and checks instead.
 
         Raises
         ------
@@ -211,7 +207,7 @@ class Result(Outcome):
         """
         from ringwear_par.results.summary import summary
 
-        return summary(self, verbose)
+        return summary(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return title, status, warnings and key numbers with their units, as JSON can hold them.

@@ -1,15 +1,12 @@
-"""A run in a few lines, in all its numbers, or as a dict."""
+"""A run in a few lines, and its numbers as a dict."""
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import CHANGED, SAME_TIME
-from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.schema import BY_PATH, SCHEMES
-from ringwear_par.cases.values import is_number
+from ringwear_par.cases.case import SAME_TIME
+from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.key_numbers import (
@@ -18,12 +15,10 @@ from ringwear_par.results.key_numbers import (
     TIME_STEPS,
     KeyNumber,
     check_numbers,
-    in_groups,
     key_numbers,
-    number_words,
 )
 from ringwear_par.results.laboratory_numbers import densities_of
-from ringwear_par.results.result import Checkpoint, Result
+from ringwear_par.results.result import Result
 
 #: errors of balances above which a computation does not satisfy its equations
 _MOST_ERROR = 1e-6
@@ -36,30 +31,19 @@ def labelled(lines: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{label.ljust(_LABEL)}{text}" for label, text in lines]
 
 
-def summary(result: Result, verbose: bool = False) -> str:
-    """Return a result in a few lines, as ``ringwear run`` prints it. Not collective.
-
-    Parameters
-    ----------
-    verbose : all key numbers and checks instead.
+def summary(result: Result) -> str:
+    """Return a result in a few lines, as ``ringwear run`` prints it.
 
     Raises
     ------
     InputError : the result was stored without its last state.
     """
-    numbers = key_numbers(result)
-    assert result.checkpoint is not None
-    if verbose:
-        return _in_full(result, numbers, result.checkpoint)
-    warnings = _warnings(result, result.checkpoint)
-    wrong, errors = checks(result)
+    numbers = {number.name: number for number in key_numbers(result)}
+    warnings, (wrong, errors) = warnings_of(result), checks(result)
     words = [f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, above"] if warnings else []
-    words += [f"wrong: {', '.join(map(str, wrong))}"] if wrong else []
-    lines = [
-        *warning_lines(warnings),
-        *labelled(_answers(result, {number.name: number for number in numbers})),
-        *labelled([("checks", f"{'; '.join(words) or 'ok'} ({errors})")]),
-    ]
+    words += [f"wrong: {', '.join(wrong)}"] if wrong else []
+    answers = [*_answers(result, numbers), ("checks", f"{'; '.join(words) or 'ok'} ({errors})")]
+    lines = [*warning_lines(warnings), *labelled(answers)]
     return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
 
 
@@ -68,9 +52,9 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
 
     def text(name: str) -> str:
         number = numbers[name]
-        if math.isnan(number.value):
+        if not number.known:
             return f"{number.label} unknown ({number.note})"
-        return f"{number_words(number.value)} {number.unit}"
+        return f"{number.text} {number.unit}"
 
     if early := early_end(result):
         yield "ended", early
@@ -78,11 +62,13 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
     if "worn_off" in numbers:
         parts = f" (worn off {text('worn_off')}, elastic {text('elastic')})"
     yield "penetration", f"{text('penetration')}{parts}"
-    bodies = [body for body in BODIES if f"{body}_worn_volume" in numbers]
     worn, rates = [], []
-    for body in bodies:
-        weighed = [f"{body}_mass"] if np.isfinite(densities_of(result, body)).any() else []
-        amounts = ", ".join(map(text, [f"{body}_worn_volume", *weighed]))
+    for body in BODIES:
+        if f"{body}_worn_volume" not in numbers:
+            continue
+        amounts = text(f"{body}_worn_volume")
+        if np.isfinite(densities_of(result, body)).any():
+            amounts += f", {text(f'{body}_mass')}"
         worn.append(f"{body} {amounts}, {text(f'{body}_deepest_wear')} at most")
         if f"{body}_share_through" in numbers:
             worn[-1] += f", {text(f'{body}_share_through')} of its area without layers"
@@ -92,16 +78,15 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
             rates[-1] += f", {text(f'{body}_specific_rate')} over the test"
     yield "worn", "; ".join(worn) or "nothing wears"
     yield "wear rate", "; ".join(rates) or "none"
-    touching, largest = numbers["touching"], ""
-    if touching.value:
-        largest = f", {text('largest_pressure')} at most (r = {text('r_largest_pressure')})"
-    apart = "" if touching.value else ": the faces do not touch"
-    elements = f"{touching.text} of {result.line.n} elements touch{apart}"
-    yield "pressure", f"{text('mean_pressure')} mean{largest}, {elements}"
-    yield (
-        "torque",
-        (f"{text('torque')}, force {text('force')}, friction energy {text('dissipated_energy')}"),
-    )
+    elements = f"{numbers['touching'].text} of {result.line.n} elements touch"
+    if "largest_pressure" in numbers:
+        place = f"(r = {text('r_largest_pressure')})"
+        elements = f"{text('largest_pressure')} at most {place}, {elements}"
+    else:
+        elements += ": the faces do not touch"
+    yield "pressure", f"{text('mean_pressure')} mean, {elements}"
+    energy = text("dissipated_energy")
+    yield "torque", f"{text('torque')}, force {text('force')}, friction energy {energy}"
 
 
 def early_end(result: Result) -> str:
@@ -113,51 +98,17 @@ def early_end(result: Result) -> str:
     return f"at t = {ended:g} of {about['time_end']:g} s, where it reached {limit}"
 
 
-def checks(result: Result) -> tuple[list[KeyNumber], str]:
-    """Return balances that are not what the equations say, and the largest errors in words."""
-    groups = in_groups(check_numbers(result))
-    wrong = [number for number in groups.get(BALANCES, ()) if number.value > _MOST_ERROR]
-    errors = {
-        "balances to": max((n.value for n in groups.get(BALANCES, ())), default=0.0),
-        "mesh to": max((n.value for n in groups[MESH_BALANCES]), default=0.0),
-    }
-    details = [f"{name} {value:.0e}" for name, value in errors.items()]
-    if TIME_STEPS in groups:
-        error = groups[TIME_STEPS][0]
-        details.append(f"time steps to {error.text} {error.unit} in all")
-    return wrong, ", ".join(details)
-
-
-def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:
-    """Return all key numbers and checks of a result, a group a line."""
-    about = result.attributes
-    title = str(about.get("title", ""))
-    steps, iterations = int(last.progress.steps), last.progress.iterations
-    checks = in_groups(check_numbers(result))
-    time_steps = checks.pop(TIME_STEPS, None)
-    lines = [
-        *([title] if title else []),
-        *warning_lines(_warnings(result, last)),
-        *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
-        *([f"ended {early}"] if (early := early_end(result)) else []),
-        *_wearing(about),
-        *(
-            f"{noun} of {body}: {about[key]}"
-            for noun in ("face", "layers")
-            for body in BODIES
-            if (key := f"{noun}_{body}") in about
-        ),
-        f"{_steps(about, last)}, {result.line.n} contact elements, "
-        f"{iterations / max(steps, 1):.1f} TAO iterations a step",
-        *([f"mesh moved and assembled again {last.start.updates} times to follow the wear"]
-          if last.start.updates else []),
-        *(f"{group}: {', '.join(map(str, them))}" for group, them in checks.items()),
-    ]  # fmt: skip
-    if time_steps is None:
-        lines.append("errors of fixed time steps are not estimated: compare with half the step")
-    else:
-        lines.append(f"{TIME_STEPS}, {time_steps[0]}{_tolerance(result)}. {_limits(about)}")
-    return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
+def checks(result: Result) -> tuple[list[str], str]:
+    """Return balances that are not what the equations say, and the largest errors, in words."""
+    numbers = check_numbers(result)
+    balances = [number for number in numbers if number.group == BALANCES]
+    wrong = [f"{n.label} {n.text}" for n in balances if n.value > _MOST_ERROR]
+    mesh = max(number.value for number in numbers if number.group == MESH_BALANCES)
+    worst = max((number.value for number in balances), default=0.0)
+    words = [f"balances to {worst:.0e}", f"mesh to {mesh:.0e}"]
+    steps = [number for number in numbers if number.group == TIME_STEPS]
+    words += [f"time steps to {number.text} {number.unit} in all" for number in steps]
+    return wrong, ", ".join(words)
 
 
 def to_dict(result: Result) -> dict[str, Any]:
@@ -176,7 +127,7 @@ def to_dict(result: Result) -> dict[str, Any]:
         "warnings": [doubt.text for doubt in result.doubts],
         "numbers": {
             number.name: {
-                "value": None if np.isnan(number.value) else float(number.value),
+                "value": float(number.value) if number.known else None,
                 "unit": number.unit,
             }
             for number in numbers
@@ -184,61 +135,26 @@ def to_dict(result: Result) -> dict[str, Any]:
     }
 
 
-def _steps(about: Mapping[str, Any], last: Checkpoint) -> str:
-    """Return the steps of a run in words."""
-    steps, scheme = int(last.progress.steps), about["scheme"]
-    if not SCHEMES[scheme].adaptive:
-        return f"{steps} of {about['time_steps']} {scheme} steps of {about['time_step']:g} s"
-    repeated = f" (and {last.progress.rejected} repeated)" if last.progress.rejected else ""
-    return f"{steps} {scheme} steps{repeated} to {last.state.time:g} s"
+def warnings_of(result: Result) -> list[str]:
+    """Return how far a history is that has not come to its end, and what is doubted, in words.
 
-
-def _warnings(result: Result, last: Checkpoint) -> list[str]:
-    """Return the sentences that come first: how far the history is, and what is doubted."""
-    about, doubts = result.attributes, (doubt.text for doubt in result.doubts)
-    return [*_unfinished(about, last), *doubts, *_unworn(result)]
-
-
-def _unworn(result: Result) -> Iterator[str]:
-    """Yield a sentence for each body whose law has worn nothing off."""
-    slid = result.histories["dissipated_energy"][-1] > 0.0
-    for body in BODIES:
-        law = result.attributes[f"law_{body}"]
-        if law and slid and result.histories[f"worn_volume_{body}"][-1] == 0.0:
-            yield f"nothing of {body} is worn off: its pressures never reach what wears, by {law}"
-
-
-def _unfinished(about: Mapping[str, Any], last: Checkpoint) -> list[str]:
-    """Return how far a history is that has not come to its end, nothing if it has."""
-    if about["status"] == "complete":
-        return []
-    where = f"t = {last.state.time:g} of {about['time_end']:g} s"
-    if not SCHEMES[about["scheme"]].adaptive:
-        where = f"step {int(last.progress.steps)} of {about['time_steps']}"
-    if about["error"]:
-        return [f"failed after {where}: {about['error']}"]
-    return [f"stopped after {where}: ringwear run --restart continues it"]
-
-
-def _wearing(about: Mapping[str, Any]) -> list[str]:
-    """Return the wear law of each body."""
-    laws = {body: about[f"law_{body}"] for body in BODIES}
-    if not any(laws.values()):
-        return ["nothing wears"]
-    return [f"{body} wears by {law}" for body, law in laws.items() if law]
-
-
-def _limits(about: Mapping[str, Any]) -> str:
-    """Return the sentence about what the estimated error of time steps leaves out."""
-    if about["closing_contact"]:
-        return "The errors of the mesh and of elements that come into contact are not included."
-    return "The error of the mesh is not included."
-
-
-def _tolerance(result: Result) -> str:
-    """Return the tolerance of adaptive steps in words, "" where the stored case has none."""
-    if result.case.startswith(CHANGED):
-        return ""
-    key = BY_PATH["time.tolerance"]
-    tolerance = read_keys(result.case).get(key.path, key.default)
-    return f" (tolerance {1e3 * tolerance:g} um)" if is_number(tolerance) else ""
+    The result has its last state.
+    """
+    assert result.checkpoint is not None
+    about, last, sentences = result.attributes, result.checkpoint, []
+    if about["status"] != "complete":
+        where = f"t = {last.state.time:g} of {about['time_end']:g} s"
+        if not SCHEMES[about["scheme"]].adaptive:
+            where = f"step {int(last.progress.steps)} of {about['time_steps']}"
+        sentences.append(
+            f"failed after {where}: {about['error']}"
+            if about["error"]
+            else f"stopped after {where}: ringwear run --restart continues it"
+        )
+    sentences += [doubt.text for doubt in result.doubts]
+    for body in BODIES if result.histories["dissipated_energy"][-1] > 0.0 else ():
+        law = about[f"law_{body}"]
+        if law and result.histories[f"worn_volume_{body}"][-1] == 0.0:
+            reason = f"its pressures never reach what wears, by {law}"
+            sentences.append(f"nothing of {body} is worn off: {reason}")
+    return sentences

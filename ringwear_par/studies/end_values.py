@@ -43,7 +43,12 @@ FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point
 OF_A_CASE = {
     **TIMES_THROUGH, **POINTS,
-    **{name: number.at_end() for name, number in LABORATORY_NUMBERS.items()},
+    **{
+        name: replace(
+            number, dimensions=("case",), meaning=f"{number.meaning}, at the last stored step"
+        )
+        for name, number in LABORATORY_NUMBERS.items()
+    },
 }  # fmt: skip
 #: of a case's history; all but ``HISTORIES`` are of some cases only, padded with NaN in the others
 STORED = {
@@ -163,7 +168,7 @@ END_VALUES = {
         _end_value,
         (
             *(HISTORIES[name] for name in MAIN_END_VALUES),
-            *(number.variable for number in LABORATORY_NUMBERS.values()),
+            *LABORATORY_NUMBERS.values(),
             *(variable for of_a_body in _BY_BODY for variable in of_a_body),
             *STRESS.values(),
         ),
@@ -205,6 +210,9 @@ class Display(NamedTuple):
 
 #: words for names that do not speak for themselves, without their bodies
 _WORDS = {
+    "mean_wear_rate": "mean rate",
+    "sliding_distance": "distance",
+    "pressure_velocity": "p V",
     "share_through": "share worn through",
     "time_through": "worn through from",
     "least_layer_left": "least left of layers",
@@ -232,8 +240,6 @@ def display_of(name: str) -> Display:
     body = body if body in BODIES else ""
     words = words.removesuffix(f"_{body}")
     unit, factor = _UNITS.get(words, (end_value.stored.unit, 1.0))
-    if number := LABORATORY_NUMBERS.get(end_value.name):
-        words = number.label
     parts = [_WORDS.get(words, words.replace("_", " ")), body]
     parts.append(_entry_words(end_value, entry) if entry else "")
     return Display(factor, ", ".join(filter(None, parts)), in_signs(unit))

@@ -63,14 +63,11 @@ def pages(folder):
 
 def test_the_page_of_a_run_has_the_numbers_of_its_summary(folder, pages):
     result, page = rw.open_result(folder / "run.h5"), pages["run"]
-    for line in result.summary(verbose=True).splitlines():
-        words = re.sub(r"\bum\b", MICRO, re.sub(r"\bmm3\b", CUBED, line)).split()
-        assert " ".join(words) in page.text
     rows, numbers = page.rows("quantity"), result.to_dict()["numbers"]
     shown = [row[0] for row in rows.values()]
     for name in ("penetration", "lower_specific_rate", "largest_pressure", "torque"):
-        assert f"{numbers[name]['value']:.4g}" in [*shown, *page.rows("body")["lower"]], name
-    assert "upper.density" in page.rows("body")["upper"][2]
+        assert f"{numbers[name]['value']:.4g}" in shown, name
+    assert any("upper.density not given" in name for name in rows)
     force = next(row for name, row in page.rows("check").items() if "contact force" in name)
     assert force[0] == f"{result.balances['force']:.1e}"
 

@@ -33,7 +33,7 @@ def test_a_law_that_only_a_result_file_names_is_not_run(run, tmp_path):
         file.attrs["user_laws"] = json.dumps({"lower": law.read_text()})
     assert main(["run", str(PAPER), "-o", str(run), *SMALL, "--restart"]) == 2
     assert main(["report", str(run), "-o", str(tmp_path / "a.html")]) == 0
-    assert rw.open_result(run).summary(verbose=True)
+    assert rw.open_result(run).summary()
     assert not marker.exists()
 
 
@@ -77,5 +77,5 @@ def test_any_title_is_drawn_and_printed(run, title, tmp_path):
     with h5py.File(run, "r+") as file:
         file.attrs["title"] = title
     result = rw.open_result(run)
-    assert all(line.isprintable() for line in result.summary(verbose=True).splitlines())
+    assert all(line.isprintable() for line in result.summary().splitlines())
     rw.plot([result], "penetration").savefig(tmp_path / "a.png")

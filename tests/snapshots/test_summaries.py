@@ -13,8 +13,8 @@ pytestmark = pytest.mark.slow
 STORED = Path(__file__).with_name("summaries.txt")
 SMALL = "mesh.contact_elements=16"
 COMMANDS = [
-    f"run cases/paper.toml -o run.h5 --verbose --set {SMALL}",
-    f"run cases/two_layers.toml -o layers.h5 --verbose --set {SMALL} stress.times=last "
+    f"run cases/paper.toml -o run.h5 --set {SMALL}",
+    f"run cases/two_layers.toml -o layers.h5 --set {SMALL} stress.times=last "
     "stress.exclude=0.05 lower.layers[0].density=7.8e-3",
     f"run cases/paper.toml -o crude.h5 --set {SMALL} time.scheme=explicit time.step=60 "
     "time.steps=3",

@@ -152,11 +152,6 @@ function hear(told) {
     fill(find("answers").tBodies[0], told.answers.map(([label, value, unit, ...others]) => [unit ? `${label} (${unit})` : label, value, ...others]));
     head(find("numbers"), ["quantity", "now", "unit", ...told.compared]);
     fill(find("numbers").tBodies[0], told.numbers);
-    find("worn").hidden = !told.worn.length;
-    if (told.worn.length) {
-      head(find("worn"), told.worn[0]);
-      fill(find("worn").tBodies[0], told.worn.slice(1));
-    }
     find("summary").textContent = told.summary;
     if (told.rig) find("rig").src = told.rig;
     find("case").textContent = told.case;
