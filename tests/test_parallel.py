@@ -1,13 +1,9 @@
 """Errors of one rank reach all alike."""
 
-from contextlib import closing
-from functools import partial
-
-import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.parallel import on_first_rank, results_of_tasks, together, with_help_of_all
+from ringwear_par.parallel import on_first_rank, together
 
 
 @pytest.mark.parametrize(
@@ -35,25 +31,3 @@ def test_the_first_rank_acts_for_all(comm):
     if comm.size > 1:
         with pytest.raises(Exception, match="pickle"):
             on_first_rank(comm, lambda: fail)
-
-
-@pytest.mark.parametrize("failing", [None, 0, 1, 5])
-def test_tasks_of_all_ranks(comm, failing):
-    """Results come in order; an error ends them, and nobody is left with one that he sends."""
-    tasks = [partial(_square, number, failing) for number in range(7)]
-
-    def squares():
-        with closing(results_of_tasks(comm, tasks)) as results:
-            return [int(square[0]) for square in results]
-
-    if failing is None:
-        assert with_help_of_all(comm, squares) == [n * n for n in range(7)]
-    else:
-        with pytest.raises(rw.ComputationError, match=f"no square of {failing}"):
-            with_help_of_all(comm, squares)
-
-
-def _square(number, failing):
-    if number == failing:
-        raise rw.ComputationError(f"no square of {number}")
-    return np.full(100_000, number * number)  # too large to be on its way unread
