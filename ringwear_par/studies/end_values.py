@@ -143,14 +143,14 @@ def _end_value(source: Variable) -> EndValue:
     """Return the end value of a variable by what kind it is of."""
     name, meaning, smooth = source.name, source.meaning, True
     axes = ("case", axis_of(source)) if axis_of(source) else ("case",)
-    if name in TIMES_THROUGH:
-        return EndValue(name, name, replace(source, dimensions=axes), smooth)
+    if name in OF_A_CASE:
+        return EndValue(
+            name, name, replace(source, dimensions=axes), smooth=name not in LABORATORY_NUMBERS
+        )
     when = "at the last stored step"
     stored = f"final_{name}"
     if name in STRESS:
         when, smooth = "at the last time that it is stored of", source.unit == "MPa"
-    elif name in LABORATORY_NUMBERS:
-        stored, smooth = name, False
     elif name in FIELDS:
         name, stored, meaning = f"least_{name}", f"final_least_{name}", f"least {meaning}"
     variable = Variable(stored, axes, source.unit, f"{meaning}, {when}")
@@ -168,7 +168,7 @@ END_VALUES = {
         _end_value,
         (
             *(HISTORIES[name] for name in MAIN_END_VALUES),
-            *LABORATORY_NUMBERS.values(),
+            *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
             *(variable for of_a_body in _BY_BODY for variable in of_a_body),
             *STRESS.values(),
         ),
