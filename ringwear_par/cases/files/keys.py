@@ -263,11 +263,6 @@ def changes_of(reader: TableReader, folder: Path) -> dict[str, Any]:
         return {}
 
 
-def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of files of Python code, which a case would run."""
-    return {path: value for path, value in keys.items() if path in _FILES}
-
-
 def in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return dotted keys with numbers in the units of a case, and files with their whole names.
 

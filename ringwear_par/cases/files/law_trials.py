@@ -26,12 +26,6 @@ def law_sources(case: Case) -> dict[str, str]:
     }
 
 
-def law_files(case: Case) -> dict[str, str]:
-    """Return the names of the Python files of a case's laws by key."""
-    laws = case.laws_by_table.items()
-    return {f"{table}.file": law.file for table, law in laws if isinstance(law, UserLaw)}
-
-
 def refuse_bad_laws(case: Case, name: str) -> None:
     """Refuse users' laws that are none, or whose slopes are wrong: from files, and objects.
 
