@@ -1,6 +1,5 @@
-"""Wear laws, eq. (4): one file a law; the wear of an implicit step; tests of derivatives."""
+"""Wear laws, eq. (4): functions of pressure, those of users, and the wear of a step."""
 
-from ringwear_par.wear.law import WearLaw
-from ringwear_par.wear.local_state import LocalState
+from ringwear_par.wear.at import LocalState
 
-__all__ = ["LocalState", "WearLaw"]
+__all__ = ["LocalState"]

@@ -1,0 +1,47 @@
+"""What a wear law may read besides the pressure: time, sliding, and the memory of a place."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+from ringwear_par.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class LocalState:
+    """Quantities besides the pressure that a wear law may read, at the contact elements.
+
+    Users' laws are called with those of one history, as given here. Laws of the package take those
+    of B histories at once: (B, 1) for each number, and (B, n), but for ``r``.
+
+    Parameters
+    ----------
+    time : s.
+    r : (n,) float, mm.
+    speed : (n,) float, mm/s, sliding speed V.
+    friction : Coulomb's mu.
+    wear : (n,) float, mm, depth worn off this body so far; of a layer, off the layer itself.
+    slid : (n,) float, mm, distance slid so far (speed integrated over time).
+    parameters : values of a user's law's own parameters at this time, each a number or (n,).
+    number : (B, 1) int, numbers of the histories in their block, which faults are known by.
+    """
+
+    time: float | FloatArray
+    r: FloatArray
+    speed: FloatArray
+    friction: float | FloatArray
+    wear: FloatArray
+    slid: FloatArray
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    number: IntArray | None = None
+
+    @property
+    def power(self) -> FloatArray:
+        """(n,) mm/s, friction coefficient times sliding speed."""
+        return self.friction * self.speed
+
+    if not TYPE_CHECKING:  # type checkers see unknown names without it
+
+        def __getattr__(self, name: str) -> Any:
+            names = ", ".join([*(f.name for f in fields(self) if f.name != "number"), "power"])
+            raise AttributeError(f"LocalState has no {name!r}; it has {names}")

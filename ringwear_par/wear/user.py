@@ -1,0 +1,240 @@
+"""Wear laws of users, from files and as objects: called for one history at a time, and checked."""
+
+import ast
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any, Protocol
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, derivative, read_only
+from ringwear_par.errors import InputError, LawError
+from ringwear_par.wear.at import LocalState
+
+#: pressure (MPa) and worn depth (mm) of which difference quotients take a part as their step,
+#: where the value itself is smaller
+_SMALL_PRESSURE, _SMALL_WEAR = 1e-3, 1e-6
+#: number of pressures at which laws are tried
+_TRIED = 33
+
+
+class WearLaw(Protocol):
+    """A wear law as a user may write it: any object with a rate.
+
+    It may also have ``d_rate_dp`` and ``d_rate_dwear``, derivatives with respect to pressure and
+    ``local.wear``; ``length``, mm, of the Gaussian that pressures and rates are averaged with;
+    ``breakpoints`` (s), at which the rate jumps or bends; ``remembers = False``, where the rate
+    does not depend on ``local.wear``. Calls come for any history, at any time, in any order, so
+    that a law must not keep anything from one call to the next.
+    """
+
+    def rate(self, p: FloatArray, local: LocalState, /) -> FloatArray:
+        """Return the rate of wear, (n,) mm/s, at pressures p, (n,) MPa, >= 0."""
+        ...
+
+
+def user(
+    code: "UserCode", p: FloatArray, at: LocalState, /, **parameters: Any
+) -> tuple[FloatArray, ...]:
+    """A law of your own, from a Python file.
+
+    The file defines ``rate(p, at)``, the rate of depth in mm/s at pressures p in MPa; ``at`` knows
+    the speed, the radius, the friction coefficient, the time, the depth worn off and the distance
+    slid so far, and the numbers that the case gives in ``parameters``, in whatever units the file
+    has them.
+
+    Use it for what the other laws cannot say: rounded thresholds, levelling off at high pressures,
+    coefficients that follow the temperature of a record. Studies and fits vary its parameters as
+    those of the others.
+
+    The rate must be 0 without pressure, continuous, not negative, and must not fall with the
+    pressure. It is called for one history at a time, which makes large sweeps slower. Whatever the
+    file does wrong is told with time and element.
+
+    The file may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints``
+    of times (s) at which the rate jumps or bends, where adaptive steps end. A file that reads
+    ``at.wear`` remembers worn depth, exactly, unless it says ``remembers = False``.
+    """
+    values = np.full((3 if code.remembers else 2, *p.shape), np.nan)
+    for i in np.flatnonzero(np.isfinite(p).all(axis=1)):
+        number = i if at.number is None else int(at.number[i, 0])
+        local = replace(
+            at,
+            time=at.time[i, 0],
+            speed=read_only(at.speed[i]),
+            friction=at.friction[i, 0],
+            wear=read_only(at.wear[i]),
+            slid=read_only(at.slid[i]),
+            parameters={
+                name: v[i] if v.shape[1] > 1 else v[i, 0] for name, v in parameters.items()
+            },
+        )
+        try:
+            values[:, i] = code.values(np.maximum(p[i], 0.0), local)
+            code.faults.pop(number, None)
+        except LawError as error:
+            code.faults[number] = str(error)
+    return tuple(values)
+
+
+@lru_cache(maxsize=64)
+def _run(source: str, name: str) -> SimpleNamespace:
+    """Return what the text of a file defines. On every rank, once."""
+    names: dict[str, Any] = {"__name__": "user_law", "__file__": name}
+    exec(compile(source, name, "exec"), names)
+    return SimpleNamespace(**names)
+
+
+@lru_cache(maxsize=64)
+def _reads_wear(source: str) -> bool:
+    """Tell whether Python source has an attribute ``wear``, as in ``at.wear``."""
+    nodes = ast.walk(ast.parse(source))
+    return any(isinstance(node, ast.Attribute) and node.attr == "wear" for node in nodes)
+
+
+@dataclass(frozen=True)
+class UserCode:
+    """The code of a user's law."""
+
+    #: file or class, in messages
+    called: str
+    #: text of the file, or the object
+    source: Any
+    #: what is wrong with it, by number of the history that called it last
+    faults: dict[int, str] = field(default_factory=dict, init=False, compare=False, repr=False)
+
+    @property
+    def is_file(self) -> bool:
+        """Whether it is a file's, not an object's."""
+        return isinstance(self.source, str)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return what the file or the object calls so."""
+        functions = _run(self.source, self.called) if self.is_file else self.source
+        return getattr(functions, name, default)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the rate may depend on ``local.wear``: objects say so, files are searched."""
+        reads = not self.is_file or self.get("d_rate_dwear") or _reads_wear(self.source)
+        return bool(self.get("remembers", reads))
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times, s, at which the rate jumps or bends."""
+        return tuple(sorted(float(time) for time in self.get("breakpoints", ())))
+
+    @property
+    def length(self) -> float:
+        """Averaging length of an object's law, mm; 0 for a local law."""
+        return 0.0 if self.is_file else float(self.get("length", 0.0))
+
+    def fault(self) -> str:
+        """Return why it is no law, "" if it is one."""
+        try:
+            rate, _ = self.get("rate"), (self.length, self.breakpoints)
+        except (Exception, SystemExit) as error:  # whatever a user's code may raise
+            reason = f"{type(error).__name__}: {error}"
+            if self.is_file:
+                return f"cannot be run ({reason}); must be a Python file"
+            return (
+                f"{self.called}: {reason}; its length must be a number (mm), its breakpoints a "
+                "list of times (s)"
+            )
+        if self.is_file:
+            return "" if callable(rate) else "does not define rate; must define rate(p, at)"
+        is_class = isinstance(self.source, type)
+        what = f"{self.source.__name__} is a class" if is_class else f"{self.called} is no wear law"
+        is_law = callable(rate) and not is_class
+        return "" if is_law else f"{what}; must be an object with rate(p, local)"
+
+    def values(self, p: FloatArray, local: LocalState) -> tuple[FloatArray, ...]:
+        """Return the rate, its slope, and d rate / d wear if it remembers, at pressures (n,).
+
+        Raises
+        ------
+        LawError : the code failed, or gave NaN, a negative rate or a negative slope.
+        """
+        rate = self._call("rate", p, local)
+        if self.get("d_rate_dp"):
+            slope = self._call("d_rate_dp", p, local)
+        else:
+            slope = derivative(lambda p: self._call("rate", p, local), p, _SMALL_PRESSURE)
+            slope = np.maximum(slope, 0.0)
+        if not self.remembers:
+            return rate, slope
+        if self.get("d_rate_dwear"):
+            return rate, slope, self._call("d_rate_dwear", p, local)
+        return rate, slope, derivative(
+            lambda wear: self._call("rate", p, replace(local, wear=wear)), local.wear, _SMALL_WEAR
+        )  # fmt: skip
+
+    def _call(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the result of a function of the code, (n,), as a copy.
+
+        It is checked unless it is a complex step's, which ``derivative`` compares with differences.
+        """
+        real = not (np.iscomplexobj(p) or np.iscomplexobj(local.wear))
+        try:
+            with np.errstate(all="ignore"):
+                result = self.get(name)(read_only(p), local)
+            if result is None or (real and np.iscomplexobj(result)):
+                raise TypeError(f"it returns {type(result).__name__}, not real numbers")
+            result = np.asarray(result, dtype=float if real else complex)
+            result = np.array(np.broadcast_to(result, p.shape))
+        except (Exception, SystemExit) as error:  # whatever a user's code may raise
+            raise LawError(
+                f"{self.called}: {name}() failed at time {local.time:g} s: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        if not real:
+            return result
+        bad = ~np.isfinite(result)
+        quantity, allowed = "rate", "a finite number"
+        if name != "rate":
+            quantity = "derivative of the rate"
+        if name != "d_rate_dwear":
+            bad, allowed = bad | (result < 0.0), "a finite number >= 0"
+        if bad.any():
+            e = int(bad.argmax())
+            if name == "d_rate_dp" and result[e] < 0.0:
+                allowed += ": rates must not fall with pressure"
+            raise LawError(
+                f"{self.called}: {name}() gives {result[e]:g} as {quantity}"
+                f"{_place(local, e, p[e])}; must be {allowed}"
+            )
+        return result
+
+
+def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
+    """Refuse code that is no law, tried at pressures up to a given one (MPa). Not collective.
+
+    Raises
+    ------
+    InputError : it is none, wears without pressure, or gives NaN, negative rates or rates that
+        fall.
+    """
+    p = np.linspace(0.0, pressure, _TRIED)[:, None] * np.ones_like(local.r)
+    try:
+        if fault := code.fault():
+            raise InputError(fault)
+        rates = np.array([code.values(row, local)[0] for row in p])
+    except LawError as error:
+        raise InputError(str(error)) from error
+    if rates[0].any():
+        e = int(rates[0].argmax())
+        fault = f"gives {rates[0, e]:g}{_place(local, e, 0.0)}; must be 0 without pressure"
+        raise InputError(f"{code.called}: rate() {fault}")
+    falls = np.diff(rates, axis=0) < -1e-12 * rates.max()
+    if falls.any():
+        i, e = (int(v[0]) for v in np.nonzero(falls))
+        fault = f"falls from {rates[i, e]:g} to {rates[i + 1, e]:g}{_place(local, e, p[i + 1, e])}"
+        raise InputError(f"{code.called}: rate() {fault}; must not fall with pressure")
+
+
+def _place(local: LocalState, element: int, p: float) -> str:
+    return (
+        f" at time {local.time:g} s, element {element} (r = {local.r[element]:.6g} mm), "
+        f"p = {p:.6g} MPa"
+    )
