@@ -1,6 +1,6 @@
 """What bodies lose in a step, as a function of the pressure at its end: eq. (4) of the paper."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -191,15 +191,18 @@ class StepWear:
     ) -> Values:
         """Return rate, slope (and d rate / d wear) along the axis, worn by a further depth."""
         at, wear, layer, ends = self._at, self._wear[i], self._layer[i], body.ends
+        of_histories = at.time, at.speed, at.friction, at.slid, at.number, wear, layer, ends
         if rows is not None:
-            at, wear, layer, ends = take((at, wear, layer, ends), rows)
+            of_histories = take(of_histories, rows)
+        time, speed, friction, slid, number_of, wear, layer, ends = of_histories
         worn, secant, values = wear + depth, self._obliquity, None
         for number, law in enumerate(body.laws):
             here = layer == number
             if len(body.laws) > 1 and not here.any():
                 continue
             lost = np.maximum(worn - ends[number - 1], 0.0) if number else worn
-            own = replace(at, wear=lost if secant is None else lost / secant)
+            lost = lost if secant is None else lost / secant
+            own = LocalState(time, at.r, speed, friction, lost, slid, number=number_of)
             new = law(p, own, **self._values(body.arguments[number], rows))
             if any(body.remember) and len(new) == 2:
                 new = *new, np.zeros_like(p)
