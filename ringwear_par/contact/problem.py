@@ -94,6 +94,20 @@ class Compliance:
         own = np.diagonal(line.units, axis1=2, axis2=3)[pair]
         return cls(line, pair, softness, np.einsum("bj,bjn->bn", softness, own))
 
+    @property
+    def asymmetry(self) -> FloatArray:
+        """(B,) largest ``|m C - (m C)'|`` over the largest ``|m C|``, of the areas m.
+
+        By reciprocity it vanishes with the mesh.
+        """
+        known: dict[tuple[float, ...], float] = {}
+        for row, key in enumerate(keys := [*zip(self.pair.tolist(), *self.softness.T.tolist())]):
+            if key not in known:
+                weighted = self.line.area[:, None] * self.matrix(row)
+                off = np.abs(weighted - weighted.T).max()
+                known[key] = float(off / np.abs(weighted).max())
+        return np.array([known[key] for key in keys])
+
     def matrix(self, row: int) -> FloatArray:
         """Return the compliance of one history, (n, n) mm/MPa."""
         return self.line.matrix(int(self.pair[row]), self.softness[row])

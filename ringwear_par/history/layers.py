@@ -33,6 +33,25 @@ def ends_of(block: Block, layer: IntArray) -> FloatArray:
     )
 
 
+def layer_volumes(area: FloatArray, ends: FloatArray, wear: FloatArray) -> FloatArray:
+    """Return the worn volumes of each layer and the body itself, (B, layers + 1) mm3.
+
+    Parameters
+    ----------
+    ends : (layers + 1, B, n) mm, see ``Wearing``.
+    wear : (B, n) mm.
+    """
+    starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
+    worn = np.maximum(np.minimum(wear, ends) - starts, 0.0)
+    return (worn @ area).T
+
+
+def layer_left(ends: FloatArray, wear: FloatArray) -> FloatArray:
+    """Return the thickness left of all layers of a body, (B, n) mm, see ``layer_volumes``."""
+    last = ends[-2]
+    return np.where(wear >= (1.0 - _ROUND_OFF) * last, 0.0, last - wear)
+
+
 def enter_layers(block: Block, before: State, step: Step) -> Step:
     """Return the step with elements that are through in their next layers."""
     after, tolerance = step.state, block.tolerance[:, None]

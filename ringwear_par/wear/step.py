@@ -41,6 +41,8 @@ class Wearing:
     remember: tuple[bool, ...]
     #: (layers + 1, B, n) mm, depths at which they end; infinite of the body
     ends: FloatArray
+    #: (B, layers + 1) 1/MPa, worn volume by dissipated energy, 0 where it is not always the same
+    per_energy: FloatArray
     #: of a non-local law, None of others
     average: Average | None = None
 
