@@ -29,5 +29,5 @@ from ringwear_par.studies.study import read_study as read_study
 from ringwear_par.studies.surrogate import surrogate as surrogate
 from ringwear_par.studies.sweep import sweep as sweep
 from ringwear_par.version import __version__ as __version__
-from ringwear_par.wear.law import WearLaw as WearLaw
-from ringwear_par.wear.local_state import LocalState as LocalState
+from ringwear_par.wear.at import LocalState as LocalState
+from ringwear_par.wear.user import WearLaw as WearLaw
