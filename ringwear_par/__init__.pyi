@@ -7,7 +7,7 @@ from ringwear_par.errors import ComputationError as ComputationError
 from ringwear_par.errors import InputError as InputError
 from ringwear_par.functions.function import Function as Function
 from ringwear_par.functions.function import function as function
-from ringwear_par.history.elastic.pairs import assemble as assemble
+from ringwear_par.history.elastic import assemble as assemble
 from ringwear_par.identification.design.design import DesignResult as DesignResult
 from ringwear_par.identification.design.design import design as design
 from ringwear_par.identification.fit import fit as fit
@@ -29,5 +29,5 @@ from ringwear_par.studies.study import read_study as read_study
 from ringwear_par.studies.surrogate import surrogate as surrogate
 from ringwear_par.studies.sweep import sweep as sweep
 from ringwear_par.version import __version__ as __version__
-from ringwear_par.wear.law import WearLaw as WearLaw
-from ringwear_par.wear.local_state import LocalState as LocalState
+from ringwear_par.wear.at import LocalState as LocalState
+from ringwear_par.wear.user import WearLaw as WearLaw

@@ -46,6 +46,4 @@ def _mapped(function: Callable[..., Any], first: Any, *others: Any) -> Any:
 
 def one(block: T, history: int = 0) -> T:
     """Return one of the histories of a block, without the axis."""
-    return _mapped(
-        lambda a: np.asarray(a[history] if a.ndim == 1 else a[..., history, :]), block
-    )
+    return _mapped(lambda a: np.asarray(a[history] if a.ndim == 1 else a[..., history, :]), block)

@@ -67,9 +67,7 @@ class Schedules:
     @classmethod
     def of(cls, quantities: Sequence[float | Table]) -> "Schedules":
         """Return numbers, or tables in time, of some histories."""
-        points = [
-            (q.x, q.y) if isinstance(q, Table) else ((0.0,), (float(q),)) for q in quantities
-        ]
+        points = [(q.x, q.y) if isinstance(q, Table) else ((0.0,), (float(q),)) for q in quantities]
         return cls(padded([x for x, _ in points]), padded([y for _, y in points]))
 
     @cached_property

@@ -21,11 +21,11 @@ from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.start import first_contact
 from ringwear_par.parallel import together
 from ringwear_par.results.simulate import simulate
-from ringwear_par.wear.laws.threshold import ThresholdLaw
+from ringwear_par.wear.laws import LAWS
 
 #: Poisson's ratio of all bodies
 NU = 0.3
@@ -122,10 +122,11 @@ def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
 
 def _rings(pressure: float, p0: float, until: float, layers: tuple[RingLayer, ...] = ()) -> Case:
     """Return the paper's rings under a mean pressure, the lower one wearing."""
+    law = LAWS["threshold"].law(k=K, p0=p0)
     case = Case(
         Ring((20.0, 40.0), (0.0, 20.0), 10e3, NU, "clamped", layers=layers),
         Ring((28.5, 31.5), (20.0, 40.0), 100e3, NU, "clamped"),
-        0.1, ThresholdLaw(K, p0), None, Load(85.0 / 24.0, 1.0), Stepping("adaptive", until=until),
+        0.1, law, None, Load(85.0 / 24.0, 1.0), Stepping("adaptive", until=until),
         RINGS, Output(),
     )  # fmt: skip
     return replace(case, load=replace(case.load, force=pressure * case.area))

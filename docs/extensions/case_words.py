@@ -26,9 +26,8 @@ from ringwear_par.measuring.definition.schema import KEYS as MEASURE_KEYS
 from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.studies.designs import KEYS as STUDY_KEYS
-from ringwear_par.wear.law import Law, parameters_of
-from ringwear_par.wear.laws import LAWS
-from ringwear_par.wear.local_state import LocalState
+from ringwear_par.wear.at import LocalState
+from ringwear_par.wear.laws import LAWS, Kind, Law
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -119,9 +118,9 @@ def _curves(case: "rw.Case", law: Law) -> Figure:
     return figure
 
 
-def _meaning(law: type[Law]) -> tuple[str, str]:
+def _meaning(law: Kind) -> tuple[str, str]:
     """Return the first sentence of a law's docstring, and the rest up to its sections."""
-    text = re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.__doc__ or ""))[0]
+    text = re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.function.__doc__ or ""))[0]
     first, _, rest = text.partition("\n\n")
     return first, rest
 
@@ -146,9 +145,9 @@ def law_page(name: str) -> str:
         lines += [f"where `{where}`.", ""]
     lines += [told, "", "## Parameters", ""]
     lines += ["| key | unit | default | meaning | allowed |", "|---|---|---|---|---|"]
-    for parameter in parameters_of(law).values():
+    for parameter in law.declared:
         key = BY_PATH[f"wear.{body}.{parameter.name}"]
-        usual = "required" if parameter.needed else _default(key.default)
+        usual = "required" if parameter.default is ... else _default(key.default)
         lines.append(
             f"| {{key}}`{parameter.name} <{key.path}>` | {_unit(parameter.unit)} | {usual} | "
             f"{_plain(parameter.meaning)} | {_plain(key.allowed)} |"
@@ -174,7 +173,7 @@ def law_figure(name: str) -> Figure:
     """Return the picture of a law as its case has it."""
     path, body = example(name)
     case = rw.read_case(path)
-    law = case.laws[("lower", "upper").index(body)]
+    law = case.laws_by_table[f"wear.{body}"]
     assert law is not None
     return _curves(case, law)
 

@@ -15,9 +15,8 @@ from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import BODIES, CLOSE, Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, bends, in_time
-from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.law import Law, WearLaw
-from ringwear_par.wear.layered import LayeredLaw
+from ringwear_par.wear.laws import Law, LayeredLaw
+from ringwear_par.wear.user import WearLaw
 
 #: of which material a point on the line between two is
 Side = Literal["", "above", "below"]
@@ -284,20 +283,20 @@ class Case:
         return materials
 
     @property
-    def laws_by_table(self) -> dict[str, WearLaw | None]:
+    def laws_by_table(self) -> dict[str, Law | None]:
         """Wear laws of bodies, and of layers that do not wear as their body, by table of keys."""
-        laws: dict[str, WearLaw | None] = {}
+        laws: dict[str, Law | None] = {}
         body_laws = self.wear_lower, self.wear_upper
         for body, ring, law in zip(BODIES, self.rings, body_laws, strict=True):
-            laws[f"wear.{body}"] = law
+            laws[f"wear.{body}"] = None if law is None else Law.of(law)
             for i, layer in enumerate(ring.layers):
                 if layer.wear is not None:
-                    laws[f"{body}.layers[{i}].wear"] = layer.wear
+                    laws[f"{body}.layers[{i}].wear"] = Law.of(layer.wear)
         return laws
 
     @cached_property
-    def laws(self) -> tuple[Law | None, Law | None]:
-        """Wear laws of lower and upper, complete; with layers those of all of them."""
+    def laws(self) -> tuple[Law | LayeredLaw | None, Law | LayeredLaw | None]:
+        """Wear laws of lower and upper; with layers those of all of them."""
         lower, upper = self.wear_lower, self.wear_upper
         return _law(self.lower, lower), _law(self.upper, upper)
 
@@ -401,10 +400,10 @@ class Case:
         return f"{CHANGED}\n{self.text}"
 
 
-def _law(ring: Ring, body_law: WearLaw | None) -> Law | None:
+def _law(ring: Ring, body_law: WearLaw | None) -> Law | LayeredLaw | None:
     """Return the law of a ring, of its layers and itself."""
-    itself = None if body_law is None else complete(body_law)
-    layer_laws = [None if layer.wear is None else complete(layer.wear) for layer in ring.layers]
+    itself = None if body_law is None else Law.of(body_law)
+    layer_laws = [None if layer.wear is None else Law.of(layer.wear) for layer in ring.layers]
     if itself is None and not any(layer_laws):
         return None
     if not ring.layers:

@@ -14,7 +14,6 @@ from ringwear_par.cases.schema import LAYER_LAWS, MOST_LAYERS, key_of, layer_ent
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.wear.law import parameters_of
 from ringwear_par.wear.laws import LAWS
 
 LAYERS = ("lower.layers", "upper.layers")
@@ -57,7 +56,7 @@ def of_refused_law(path: str, entries: Mapping[str, Any]) -> bool:
     law = entries.get(f"{table}.law")
     if layer_entry(path) is None or not isinstance(law, str) or law in LAYER_LAWS:
         return False
-    return law in LAWS and name in parameters_of(LAWS[law])
+    return law in LAWS and name in LAWS[law].parameters
 
 
 def entries_of(layers: Any) -> dict[str, Any] | None:
@@ -104,7 +103,7 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
                 table["wear"] = {}
             table = table["wear"]
             if last == "law" and isinstance(value, str) and value in LAYER_LAWS:
-                own_keys = {"law", *parameters_of(LAYER_LAWS[value])}
+                own_keys = {"law", *LAYER_LAWS[value].parameters}
                 for foreign_key in [
                     foreign_key for foreign_key in table if foreign_key not in own_keys
                 ]:

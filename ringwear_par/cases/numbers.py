@@ -14,12 +14,10 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, Ring, RingLayer
-from ringwear_par.cases.files.key_values import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
-from ringwear_par.wear.law import Law, parameters_of
-from ringwear_par.wear.laws.user import UserLaw
+from ringwear_par.wear.laws import Law
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]
@@ -75,7 +73,9 @@ def number_faults(case: Case, name: str) -> list[str]:
         owner = getattr(case, part) if part else case
         if path == "load.pressure" or (part == "time" and not case.time.adaptive):
             continue
-        if not isinstance(owner, Law) or attribute in parameters_of(type(owner)):
+        if isinstance(owner, Law):
+            numbers.append((path, BY_PATH[path], owner.values.get(attribute)))
+        else:
             numbers.append((path, BY_PATH[path], getattr(owner, attribute, None)))
     faults = []
     for path, key, value in numbers:
@@ -99,7 +99,7 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     numbers : of all cases, (cases,), all of them right by themselves.
     """
     refused = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
-    if any(isinstance(law, UserLaw) for law in (case.wear_lower, case.wear_upper)):
+    if any(law is not None and law.code is not None for law in case.laws_by_table.values()):
         return ~refused  # their functions are tried
     ends = numbers.get(("time.end", None))
     if ends is not None:
@@ -110,7 +110,7 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     if displacement is not None:
         refused |= case.interpenetration > displacement
     for table, law in case.laws_by_table.items():
-        if isinstance(law, Law):
+        if law is not None:
             refused |= _refused_by(law, table, numbers, len(refused))
     return refused
 
@@ -124,11 +124,10 @@ def _refused_by(
         for (path, entry), column in numbers.items()
         if (key := path if entry is None else f"{path}{entry}").startswith(f"{table}.")
     }
-    if not columns or not type(law).has_rules():
+    if not any(parameter.at_least for parameter in law.kind.declared) or not columns:
         return np.zeros(count, dtype=bool)
-    values = {name: getattr(law, name) for name in parameters_of(type(law))}
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
-    return np.array([make_law(type(law), table, values | row)[0] is None for row in rows])
+    return np.array([bool(law.kind.faults("", {**law.values, **row})) for row in rows])
 
 
 def with_numbers(
@@ -144,11 +143,12 @@ def with_numbers(
     """
     columns: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
     for (path, entry), values in numbers.items():
-        if entry is not None:
-            part = path.partition(".")[0] if path in LAYERS else _TABLES[path]
-            columns.setdefault(part, {})[entry] = values
-            continue
-        part, name = _PLACES[path]
+        if entry is None:
+            part, name = _PLACES[path]
+        elif path in LAYERS:
+            part, name = path.partition(".")[0], entry
+        else:
+            part, name = _TABLES[path], f"parameters.{entry}"
         if path == "load.pressure":
             area = case.area
             values = [pressure * area for pressure in values]
@@ -156,8 +156,8 @@ def with_numbers(
     changes = columns.pop("")
     for name, part_columns in columns.items():
         part = getattr(case, name)
-        if isinstance(part, UserLaw):
-            part_columns = {"parameters": _parameters(part, part_columns)}
+        if isinstance(part, Law):
+            part_columns = {"values": _values(part, part_columns)}
         if isinstance(part, Ring):
             part_columns = _with_layers(part, part_columns)
         changes[name] = _copies(part, part_columns)
@@ -178,14 +178,17 @@ def _with_layers(ring: Ring, columns: Mapping[str, Sequence[Any]]) -> dict[str, 
     for i, layer in enumerate(ring.layers):
         start = f"[{i}].wear."
         law = {n.removeprefix(start): v for n, v in columns.items() if n.startswith(start)}
-        laws = _copies(layer.wear, law) if law else [layer.wear] * count
+        laws: list[Any] = [layer.wear] * count
+        if law:
+            own = Law.of(layer.wear)
+            laws = _copies(own, {"values": _values(own, law)})
         layers.append(_copies(layer, {"wear": laws}))
     return fields_of_ring | {"layers": list(zip(*layers, strict=True))}
 
 
-def _parameters(law: UserLaw, columns: Mapping[str, Sequence[float]]) -> list[Any]:
-    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
-    return [tuple((dict(law.parameters) | row).items()) for row in rows]
+def _values(law: Law, columns: Mapping[str, Sequence[float]]) -> list[dict[str, Any]]:
+    rows = zip(*columns.values(), strict=True)
+    return [{**law.values, **dict(zip(columns, row, strict=True))} for row in rows]
 
 
 def _copies(original: Any, columns: Mapping[str, Sequence[Any]]) -> list[Any]:

@@ -7,7 +7,6 @@ from ringwear_par.cases.units import factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.schedules import largest
-from ringwear_par.wear.law import parameters_of
 
 #: unit and plausible range of a number by the last part of its key: moduli from plastics to
 #: diamond, densities from foam to osmium, coatings of 0.1 um and more. The largest specific wear
@@ -57,10 +56,16 @@ def _numbers(case: Case) -> Iterator[tuple[str, float]]:
                 yield f"{table}.{name}", number
     for body, ring in zip(BODIES, case.rings, strict=True):
         yield f"{body}.r[1]", ring.r[1]
+    yield from _coefficients(case)
+
+
+def _coefficients(case: Case) -> Iterator[tuple[str, float]]:
+    """Yield the largest values of coefficients of laws that are in 1/MPa, by key."""
     for table, law in case.laws_by_table.items():
-        for name, parameter in parameters_of(type(law)).items():
-            if name in _PLAUSIBLE and parameter.unit == "1/MPa":
-                yield f"{table}.{name}", largest(getattr(law, name))
+        if law is not None:
+            for name, quantity in law.quantities.items():
+                if law.unit(name) == "1/MPa":
+                    yield f"{table}.{name}", largest(quantity)
 
 
 def wear_question(case: Case, body: str = "") -> str:
@@ -71,11 +76,7 @@ def wear_question(case: Case, body: str = "") -> str:
     body : that wears much; "": either.
     """
     asked = [
-        (largest(getattr(law, name)), f"{table}.{name}")
-        for table, law in case.laws_by_table.items()
-        if body in table
-        for name, parameter in parameters_of(type(law)).items()
-        if parameter.unit == "1/MPa" and f"{table}.{name}" not in case.with_units
+        (k, key) for key, k in _coefficients(case) if body in key and key not in case.with_units
     ]
     if not asked:
         return ""

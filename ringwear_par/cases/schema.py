@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 from ringwear_par.cases.tables import Key
@@ -31,8 +32,7 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import SHAPE_UNITS
-from ringwear_par.wear.law import Law, Parameter, parameters_of
-from ringwear_par.wear.laws import LAWS
+from ringwear_par.wear.laws import LAWS, Kind, Parameter
 
 
 class Scheme(NamedTuple):
@@ -123,7 +123,7 @@ def _values(parameter: Parameter) -> Values:
     return text("the name of a Python file") if parameter.kind == "file" else parameters()
 
 
-def _wear_keys(table: str, owner: str, absent: str, laws: Mapping[str, type[Law]]) -> list[Key]:
+def _wear_keys(table: str, owner: str, absent: str, laws: Mapping[str, Kind]) -> list[Key]:
     """Return the keys of a table of wear: ``law``, and what the laws declare.
 
     Parameters
@@ -135,7 +135,7 @@ def _wear_keys(table: str, owner: str, absent: str, laws: Mapping[str, type[Law]
     formulas = "; ".join(f"{name}: {law.formula}" for name, law in laws.items())
     meaning = f"rate of wear of {owner}: {formulas}; no table {absent}"
     keys = [Key(f"{table}.law", *choice(*laws), "-", meaning, None)]
-    declared = [parameters_of(law) for law in laws.values()]
+    declared = [law.parameters for law in laws.values()]
     for name in dict.fromkeys(itertools.chain(*declared)):
         users = {
             law: parameters[name]
@@ -374,7 +374,7 @@ def law_keys(table: str, law: Any) -> set[str]:
     """Return the keys of a body's wear table, "wear.lower", under a law; none if it is no law."""
     if not (isinstance(law, str) and law in LAWS):
         return set()
-    return {f"{table}.law", *(f"{table}.{name}" for name in parameters_of(LAWS[law]))}
+    return {f"{table}.law", *(f"{table}.{name}" for name in LAWS[law].parameters)}
 
 
 def base_unit(name: str) -> str | None:
@@ -414,9 +414,7 @@ def unit_under(name: str, laws: Callable[[str], Iterable[Any]]) -> str:
     key = f"{table}.law"
     if key_of(key) is None:
         return unit_of(name)
-    declared = [
-        parameters_of(LAWS[law]) for law in laws(key) if isinstance(law, str) and law in LAWS
-    ]
+    declared = [LAWS[law].parameters for law in laws(key) if isinstance(law, str) and law in LAWS]
     units = {of_law[parameter].unit for of_law in declared if parameter in of_law}
     unit = units.pop() if len(units) == 1 else "" if units else unit_of(name)
     return "" if unit in ("-", "1") else unit

@@ -6,8 +6,6 @@ from typing import Any
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, key_of
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.wear.law import Law, parameters_of
-from ringwear_par.wear.layered import LayeredLaw
 
 
 def elastic_numbers(case: Case) -> dict[str, str]:
@@ -32,14 +30,10 @@ def is_elastic(case: Case, keys: Sequence[str]) -> bool:
 def smooth_keys(case: Case) -> dict[str, str]:
     """Return the plain numbers of a case that its history depends on smoothly, with units."""
     units: dict[str, str] = {}
-    for body, law in zip(BODIES, case.laws, strict=True):
-        if law is None:
-            continue
-        for name in law.numeric:
-            if _is_number(law.quantity(name)):
-                units[_key_of_parameter(body, name)] = _unit(law, name)
-        if law.length and "length" in parameters_of(type(law)):
-            units[f"wear.{body}.length"] = "mm"
+    for table, law in case.laws_by_table.items():
+        if law is not None:
+            numbers = law.quantities | ({"length": law.length} if law.length else {})
+            units |= {f"{table}.{k}": law.unit(k) for k, q in numbers.items() if _is_number(q)}
     load = case.load
     for key, number in (
         ("contact.friction", case.friction),
@@ -53,20 +47,6 @@ def smooth_keys(case: Case) -> dict[str, str]:
         if _is_number(number):
             units[key] = UNITS[key]
     return units | elastic_numbers(case)
-
-
-def _key_of_parameter(body: str, name: str) -> str:
-    """Return the key of a parameter of a body's law, or of one of its layers' laws."""
-    layer, _, parameter = name.rpartition("].")
-    return f"{body}.{layer}].wear.{parameter}" if layer else f"wear.{body}.{name}"
-
-
-def _unit(law: Law, name: str) -> str:
-    """Return the unit of a parameter, "1" where it is not declared."""
-    if isinstance(law, LayeredLaw):
-        return next(_unit(law.laws[i], parameter) for i, parameter in law.laws_with(name))
-    parameter = parameters_of(type(law)).get(name)
-    return "1" if parameter is None else parameter.unit
 
 
 def _is_number(quantity: Any) -> bool:

@@ -63,9 +63,7 @@ class BlockSolver:
             q, e = (q.copy(), e.copy()) if whole else (q, e)  # lines are known by their pressures
             lines = self._lines(wear, q, None if whole else rows)
             sets = np.empty(len(rows), np.int32)
-            _rows.solve(
-                c, of, force, self.by_force, *lines, self.relative, depth, q, e, sets
-            )
+            _rows.solve(c, of, force, self.by_force, *lines, self.relative, depth, q, e, sets)
             p[rows], d[rows], failed[rows] = q, e, (sets < 0) | ~np.isfinite(e)
             iterations[rows] += np.abs(sets)
             if wear is None or wear.linear:
@@ -96,7 +94,5 @@ class BlockSolver:
         const, slope = wear.lines(p)
         slope = (slope * (const + slope * p > 0.0)).sum(axis=0)
         inverse, relief = (p > 0.0) / (self.compliance.diagonal + slope), np.empty_like(p)
-        _rows.respond(
-            self.compliance, self.by_force, inverse, slope, _ROUGH, error.copy(), relief
-        )
+        _rows.respond(self.compliance, self.by_force, inverse, slope, _ROUGH, error.copy(), relief)
         return error + slope * relief

@@ -10,7 +10,6 @@ from ringwear_par.cases.schema import BY_PATH, MOST_LAYERS, key_of, quantity_nam
 from ringwear_par.cases.units import factor, in_unit, number_and_unit
 from ringwear_par.cases.values import LEAST, MOST, Interval, is_number
 from ringwear_par.elasticity.sections import BODIES, SHAPE_UNITS
-from ringwear_par.wear.law import parameters_of
 from ringwear_par.wear.laws import LAWS
 
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega", "contact.friction")
@@ -138,7 +137,7 @@ def _law(keys: Mapping[str, Any], table: str, whose: str) -> Iterator[Control]:
         return
     law = LAWS[keys[f"{table}.law"]]
     group = f"Wear of {whose}: {law.formula}"
-    for name, parameter in parameters_of(law).items():
+    for name, parameter in law.parameters.items():
         path = f"{table}.{name}"
         raw = keys.get(path, None if parameter.default is ... else parameter.default)
         if parameter.kind == "parameters":

@@ -10,13 +10,13 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, refuse_stop
 from ringwear_par.cases.files.reading import read_case
+from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.functions.inputs import CaseInputs, case_inputs
-from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, LAYER_HISTORIES, Variable, layer_names
 

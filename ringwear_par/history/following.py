@@ -8,6 +8,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import Compliance, Line
+from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError
@@ -15,7 +16,6 @@ from ringwear_par.history.block import Block
 from ringwear_par.history.elastic import updated_geometry
 from ringwear_par.history.schemes import rates_at
 from ringwear_par.history.state import State
-from ringwear_par.contact.tao import TaoContact
 from ringwear_par.wear.laws import averaging
 from ringwear_par.wear.step import Average
 

@@ -35,9 +35,7 @@ class Moment(NamedTuple):
     meshed: FloatArray | None
 
 
-def selected(
-    which: str | tuple[float, ...], moment: Moment, last_stored: float
-) -> bool:
+def selected(which: str | tuple[float, ...], moment: Moment, last_stored: float) -> bool:
     """Return whether a stored state is among those that a case asks for.
 
     Parameters

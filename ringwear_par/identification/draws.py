@@ -20,7 +20,7 @@ from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.results.hdf5 import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 from ringwear_par.schedules import mean, mean_of_product
-from ringwear_par.wear.law import WearLaw
+from ringwear_par.wear.laws import Law
 
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"
@@ -123,11 +123,10 @@ def law_names(case: Case) -> dict[str, str]:
     return {table: _law_name(law) for table, law in case.laws_by_table.items()}
 
 
-def _law_name(law: WearLaw | None) -> str:
-    if law is None:
-        return ""
-    name, source = getattr(law, "name", "") or type(law).__name__, getattr(law, "source", "")
-    return f"{name} {hashlib.sha256(source.encode()).hexdigest()[:12]}" if source else name
+def _law_name(law: Law | None) -> str:
+    if law is None or law.code is None or not law.code.is_file:
+        return "" if law is None else law.name
+    return f"{law.name} {hashlib.sha256(law.code.source.encode()).hexdigest()[:12]}"
 
 
 def write_draws(

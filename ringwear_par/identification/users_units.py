@@ -13,7 +13,6 @@ from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
-from ringwear_par.wear.laws.threshold import AboveThreshold
 
 _FRICTION = "contact.friction"
 
@@ -39,7 +38,7 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
     names = ["estimate", "sd", "interval", "next", *(["before"] if "before" in entry else [])]
     unit = {"unit": parameter.unit, "scale": scale}
     law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
-    if isinstance(law, AboveThreshold) and base_unit(parameter.key) == "1/MPa":
+    if law is not None and "p0" in law.kind.parameters and base_unit(parameter.key) == "1/MPa":
         unit["per"] = "friction energy"
     return {**unit, **{name: converted(entry.get(name)) for name in names}}
 
@@ -78,10 +77,10 @@ def specific_wear_rate(
 
 def _share(case: Case, body: str, threshold: float | None) -> float | None:
     """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
-    law, mu = getattr(case, f"wear_{body}"), case.friction
-    if not isinstance(mu, float) or not isinstance(getattr(law, "k", None), float):
+    law, mu = case.laws_by_table[f"wear.{body}"], case.friction
+    if law is None or not isinstance(mu, float) or not isinstance(law.values.get("k"), float):
         return None
     if threshold is not None:
-        law = replace(law, p0=threshold)
-    ratio = getattr(law, "per_energy", lambda mu: None)(mu)
-    return None if ratio is None else round(float(ratio * mu / law.k), 12)
+        law = replace(law, values={**law.values, "p0": threshold})
+    ratio = law.per_energy(mu)
+    return None if ratio is None else round(float(ratio * mu / law.values["k"]), 12)

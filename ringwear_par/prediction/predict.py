@@ -14,11 +14,11 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
 from ringwear_par.cases.files.reading import read_case
+from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, ValidityWarning, legible
 from ringwear_par.files.folders import POSTERIOR, PREDICTION, check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
-from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.draws import (
     CONDITIONS,

@@ -26,10 +26,10 @@ class LocalState:
     number : (B, 1) int, numbers of the histories in their block, which faults are known by.
     """
 
-    time: float | FloatArray
+    time: Any
     r: FloatArray
     speed: FloatArray
-    friction: float | FloatArray
+    friction: Any
     wear: FloatArray
     slid: FloatArray
     parameters: Mapping[str, Any] = field(default_factory=dict)

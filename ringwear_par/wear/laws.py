@@ -10,16 +10,15 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, Fault, InputError
-from ringwear_par.files.text import read_text
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.schedules import (
     Quantity,
+    Table,
     breakpoints,
     largest,
     quantity_text,
@@ -135,8 +134,8 @@ def running_in(
     k: FloatArray,
     k_start: FloatArray,
     p0: FloatArray,
-    depth: FloatArray | None = None,
-    distance: FloatArray | None = None,
+    depth: Any = None,
+    distance: Any = None,
 ) -> Values:
     """Wear that is faster at first and settles with worn depth or distance slid.
 
@@ -180,25 +179,17 @@ class Parameter:
     kind: Literal["quantity", "number", "rates", "file", "parameters"] = "quantity"
     #: ... where it must be given
     default: Any = ...
-    #: least and largest number that is allowed
+    #: least and largest number that is allowed, and whether they are allowed themselves
     low: float = 0.0
     high: float = math.inf
-    #: whether ``low`` and ``high`` themselves are allowed
     ends: bool = True
     #: the parameter of the same law that this one must not be less than, "" for none
     at_least: str = ""
-    #: whether the rate at a place depends on it
-    local: bool = True
-
-    @property
-    def needed(self) -> bool:
-        """Whether it must be given."""
-        return self.default is ...
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A law of case files, whose function is documented for users."""
+    """A law that case files may name; the docstring of its function is its page for users."""
 
     name: str
     function: LawFunction
@@ -225,7 +216,7 @@ class Kind:
         """
         faults = []
         given = [values[name] is not None for name in self.one_of if name in values]
-        if len(given) == len(self.one_of) > 0 and sum(given) != 1:
+        if self.one_of and len(given) == len(self.one_of) and sum(given) != 1:
             keys = ", ".join(table + name for name in self.one_of)
             sentence = f"{keys}: one of them must be given (mm)"
             faults.append(Fault(sentence, table + self.one_of[0], "missing"))
@@ -240,99 +231,59 @@ class Kind:
         return faults
 
     def law(self, **values: Any) -> "Law":
-        """Return the law with these values; those that are None or missing have their defaults.
+        """Return the law with these values; those that are None have their defaults.
 
         Raises
         ------
         InputError : they make no law, or the file none; faults begin with the name of a parameter.
         """
-        usual = {p.name: None if p.needed else p.default for p in self.declared}
-        values = usual | {name: value for name, value in values.items() if value is not None}
-        faults = self.faults("", values)
-        if faults:
+        defaults = {p.name: None if p.default is ... else p.default for p in self.declared}
+        values = defaults | {name: value for name, value in values.items() if value is not None}
+        if faults := self.faults("", values):
             raise InputError(*faults)
         if "file" not in values:
             return Law(self, values)
-        try:
-            code = UserCode(str(Path(values["file"])), read_text(Path(values["file"])))
-        except InputError as error:
-            raise InputError(f"file = {error}; must be a Python file") from error
-        if fault := code.fault():
-            raise InputError(f"file = {code.called}: {fault}")
+        code = UserCode.of_file(values["file"])
+        values |= {f"parameters.{name}": q for name, q in values.pop("parameters")}
         return Law(replace(self, formula=f"rate(p, at) of {code.called}"), values, code)
 
 
-_K = Parameter("k", "1/MPa", "wear coefficient")
-_P0 = Parameter("p0", "MPa", "threshold pressure", default=0.0)
+_K, _P0 = (
+    Parameter("k", "1/MPa", "wear coefficient"),
+    Parameter("p0", "MPa", "threshold pressure", default=0.0),
+)
+_START = Parameter("k_start", "1/MPa", "wear coefficient at the start, k or larger", at_least="k")
+_FALLS = "over which k_start - k falls by the factor e"
+_DEPTH = Parameter("depth", "mm", f"worn depth {_FALLS}", "number", None, ends=False)
+_DISTANCE = Parameter(
+    "distance", "mm", f"distance slid {_FALLS}, instead of depth", "number", None, ends=False
+)
 _ALL = (
     Kind("threshold", threshold, "k mu max(0, p - p0) V", (_K, _P0), linear=True),
     Kind("archard", archard, "k p V", (_K,), linear=True),
-    Kind(
-        "power", power, "k p^m V^n",
-        (
-            Parameter("k", "mm/s", "rate where p = 1 MPa and V = 1 mm/s"),
-            Parameter("m", "1", "exponent of p", "number", low=1.0, high=10.0),
-            Parameter("n", "1", "exponent of V", "number", 1.0, high=10.0, ends=False),
-        ),
-    ),
-    Kind(
-        "table", table, "linear between points of p V",
-        (
-            Parameter(
-                "table", "MPa mm/s and mm/s",
-                "rate of wear; beyond its end the last slope goes on", "rates",
-            ),
-        ),
-    ),
-    Kind(
-        "running-in", running_in,
-        "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V (s = wear/depth or slid/distance)",
-        (
-            _K,
-            Parameter(
-                "k_start", "1/MPa", "wear coefficient at the start, k or larger", at_least="k"
-            ),
-            _P0,
-            Parameter(
-                "depth", "mm", "worn depth over which k_start - k falls by the factor e", "number",
-                None, ends=False,
-            ),
-            Parameter(
-                "distance", "mm",
-                "distance slid over which k_start - k falls by the factor e, instead of depth",
-                "number", None, ends=False,
-            ),
-        ),
-        linear=True, one_of=("depth", "distance"),
-    ),
-    Kind(
-        "non-local", non_local, "<k mu max(0, <p> - p0) V> (<> averages over length)",
-        (
-            _K,
-            _P0,
-            Parameter(
-                "length", "mm",
-                "standard deviation of the Gaussian average of the pressure, and of the wear that "
-                "it causes", "number", ends=False, local=False,
-            ),
-        ),
-        linear=True,
-    ),
-    Kind(
-        "user", user, "rate(p, at) of a Python file",
-        (
-            Parameter(
-                "file", "-",
-                "file, relative to the case file, that defines rate(p, at), as user_law.py does",
-                "file",
-            ),
-            Parameter(
-                "parameters", "-",
-                "parameters of the law, which rate(p, at) reads from at.parameters", "parameters",
-                (),
-            ),
-        ),
-    ),
+    Kind("power", power, "k p^m V^n", (
+        Parameter("k", "mm/s", "rate where p = 1 MPa and V = 1 mm/s"),
+        Parameter("m", "1", "exponent of p", "number", low=1.0, high=10.0),
+        Parameter("n", "1", "exponent of V", "number", 1.0, high=10.0, ends=False),
+    )),
+    Kind("table", table, "linear between points of p V", (
+        Parameter("table", "MPa mm/s and mm/s",
+                  "rate of wear; beyond its end the last slope goes on", "rates"),
+    )),
+    Kind("running-in", running_in,
+         "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V (s = wear/depth or slid/distance)",
+         (_K, _START, _P0, _DEPTH, _DISTANCE), linear=True, one_of=("depth", "distance")),
+    Kind("non-local", non_local, "<k mu max(0, <p> - p0) V> (<> averages over length)", (
+        _K, _P0,
+        Parameter("length", "mm", "standard deviation of the Gaussian average of the pressure, and "
+                  "of the wear that it causes", "number", ends=False),
+    ), linear=True),
+    Kind("user", user, "rate(p, at) of a Python file", (
+        Parameter("file", "-", "file, relative to the case file, that defines rate(p, at), as "
+                  "user_law.py does", "file"),
+        Parameter("parameters", "-", "parameters of the law, which rate(p, at) reads from "
+                  "at.parameters", "parameters", ()),
+    )),
 )  # fmt: skip
 #: the laws that a case file may name, by the name that ``law`` gives them
 LAWS: Mapping[str, Kind] = {kind.name: kind for kind in _ALL}
@@ -340,25 +291,24 @@ LAWS: Mapping[str, Kind] = {kind.name: kind for kind in _ALL}
 
 @dataclass(frozen=True, repr=False)
 class Law:
-    """A wear law of a body or a layer: of what kind, with what values."""
+    """A wear law of a body or a layer: its kind and its values."""
 
     kind: Kind
-    #: of its parameters, by name; None of those that are not used
+    #: of its parameters, by name, those of a user's file as "parameters.k"; None of unused ones
     values: Mapping[str, Any]
     #: of a user's law
     code: UserCode | None = None
 
     @classmethod
     def of(cls, law: Any) -> "Law":
-        """Return a user's object as a law, a law as it is."""
+        """Return the law of a user's object, whose numbers are its parameters; a law as it is."""
         if isinstance(law, Law):
             return law
-        code = UserCode(type(law).__name__, law)
-        formula = str(code.get("formula", f"{code.called}.rate(p, local)"))
-        names = [field.name for field in fields(law)] if is_dataclass(law) else []
-        numbers = {name: getattr(law, name) for name in names}
-        numbers = {name: number for name, number in numbers.items() if isinstance(number, float)}
-        return cls(Kind(code.called, user, formula), numbers, code)
+        code, names = UserCode(type(law).__name__, law), []
+        if is_dataclass(law) and not isinstance(law, type):
+            names = [field.name for field in fields(law)]
+        values = {name: getattr(law, name) for name in names}
+        return cls(Kind(code.called, user, f"{code.called}.rate(p, local)"), values, code)
 
     def __repr__(self) -> str:
         values = ", ".join(f"{k}={v!r}" for k, v in self.values.items() if v is not None)
@@ -368,11 +318,6 @@ class Law:
     def name(self) -> str:
         """Value of ``law`` in case files, or the class of a user's object."""
         return self.kind.name
-
-    @property
-    def formula(self) -> str:
-        """The rate in the paper's symbols."""
-        return self.kind.formula
 
     @property
     def length(self) -> float:
@@ -393,7 +338,7 @@ class Law:
 
     @property
     def function(self) -> LawFunction:
-        """``function(p, at, **arguments)`` returns rate and slope, see above."""
+        """``function(p, at, **arguments)`` returns rate and slope, see the top of this file."""
         return self.kind.function if self.code is None else partial(user, self.code)
 
     @property
@@ -402,48 +347,32 @@ class Law:
         return {} if self.code is None else self.code.faults
 
     @property
-    def _quantities(self) -> dict[str, Quantity]:
-        """Numbers, tables and profiles that the rate at a place depends on, by name."""
-        quantities: dict[str, Quantity] = {}
-        for name, parameter in self.kind.parameters.items():
-            if parameter.kind == "parameters":
-                quantities |= {f"{name}.{entry}": q for entry, q in self.values[name]}
-            elif parameter.kind in ("quantity", "number") and parameter.local:
-                quantities[name] = self.values[name]
-        return {name: q for name, q in quantities.items() if q is not None}
+    def quantities(self) -> dict[str, Quantity]:
+        """The numbers, tables and profiles that the rate depends on smoothly, by name."""
+        return {
+            name: q
+            for name, q in self.values.items()
+            if isinstance(q, float | int | Table) and name != "length"
+        }
 
     @property
     def arguments(self) -> dict[str, Quantity | FloatArray]:
         """What the function takes besides pressure and state."""
-        if (points := self.values.get("table")) is not None:
-            return dict(zip("xy", np.array(points, dtype=float).T, strict=True))
-        return {name.removeprefix("parameters."): q for name, q in self._quantities.items()}
+        if "table" in self.values:
+            return dict(zip("xy", np.array(self.values["table"], dtype=float).T, strict=True))
+        return {name.removeprefix("parameters."): q for name, q in self.quantities.items()}
 
     @property
     def key(self) -> Hashable:
         """Equal for laws whose arguments may be stacked, for one function of many histories."""
         source = self.code and (self.code.source if self.code.is_file else id(self.code.source))
-        shapes = ((name, np.shape(q)) for name, q in self.arguments.items())
+        shapes = ((name, getattr(q, "shape", ())) for name, q in self.arguments.items())
         return self.name, source, self.length, *sorted(shapes)
-
-    @property
-    def numeric(self) -> tuple[str, ...]:
-        """Names of the parameters that the rate depends on smoothly."""
-        return tuple(self._quantities)
-
-    def quantity(self, name: str) -> Quantity:
-        """Return a numeric parameter as it was given."""
-        return self._quantities[name]
-
-    def unit(self, name: str) -> str:
-        """Return the unit of a numeric parameter, "1" where it is not declared."""
-        parameter = self.kind.parameters.get(name)
-        return "1" if parameter is None else parameter.unit
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times, s, at which a parameter's table bends, and those that a user's law names."""
-        times = set(breakpoints(*self._quantities.values()))
+        times = set(breakpoints(*self.quantities.values()))
         return tuple(sorted(times.union(() if self.code is None else self.code.breakpoints)))
 
     def at(self, local: LocalState) -> dict[str, Any]:
@@ -478,18 +407,23 @@ class Law:
         ends = {self.per_energy(of(friction)) or 0.0 for of in (smallest, largest)}
         return [ends.pop() if len(ends) == 1 else 0.0]
 
+    def unit(self, name: str) -> str:
+        """Return the unit of a quantity, "1" where it is not declared."""
+        parameter = self.kind.parameters.get(name)
+        return "1" if parameter is None else parameter.unit
+
     def describe(self) -> str:
         """Return the formula with its numbers and units."""
-        if (points := self.values.get("table")) is not None:
-            (x, y), count = points[-1], len(points)
-            return f"{self.formula}, {count} of them to {y:.10g} mm/s at p V = {x:.10g} MPa mm/s"
+        if "table" in self.values:
+            (x, y), count = self.values["table"][-1], len(self.values["table"])
+            formula = self.kind.formula
+            return f"{formula}, {count} of them to {y:.10g} mm/s at p V = {x:.10g} MPa mm/s"
         parts = []
-        quantities = self.arguments | ({"length": self.length} if self.length else {})
-        for name, q in quantities.items():
+        for name, q in (self.quantities | ({"length": self.length} if self.length else {})).items():
             number = f"{q:.10g}" if isinstance(q, float | int) else quantity_text(q)
-            unit = self.unit(name)
-            parts.append(f"{name} = {number}" + (f" {unit}" if unit != "1" else ""))
-        return self.formula + (f" with {', '.join(parts)}" if parts else "")
+            unit = "" if self.unit(name) == "1" else f" {self.unit(name)}"
+            parts.append(f"{name.removeprefix('parameters.')} = {number}{unit}")
+        return self.kind.formula + (f" with {', '.join(parts)}" if parts else "")
 
 
 NO_WEAR = Law(Kind("", no_wear, "0", linear=True), {})
@@ -535,8 +469,8 @@ class LayeredLaw:
         return ", then ".join([*through, f"{self.laws[-1].describe()} in the body itself"])
 
 
-#: most scalings of averages, and the error of averaged constants that is allowed after them
-_SCALINGS, _SCALED = 1000, 1e-10
+#: most scalings of averages
+_SCALINGS = 1000
 
 
 def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
@@ -546,24 +480,13 @@ def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
     that distance, without which a step need not have a solution. Rows sum to 1 and
     ``diag(area) A`` is symmetric, so that constants and area integrals are kept (Sinkhorn's
     scaling).
-
-    Raises
-    ------
-    ComputationError : the scaling does not settle.
     """
     kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
     scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
     for _ in range(_SCALINGS):
         sums = scale * (kernel @ scale) / area
-        error = np.abs(sums - 1.0).max()
-        if error < 1e-14:
+        if np.abs(sums - 1.0).max() < 1e-14:
             break
         scale = scale / np.sqrt(sums)
-    if not error <= _SCALED:
-        raise ComputationError(
-            f"wear law: averages over {length:g} mm keep constants to {error:.1e} only, "
-            f"after {_SCALINGS} scalings (allowed {_SCALED:g})"
-        )
-    symmetric = scale[:, None] * kernel * scale
-    matrix = symmetric / area[:, None]
+    matrix = scale[:, None] * kernel * scale / area[:, None]
     return matrix / matrix.sum(axis=1)[:, None]

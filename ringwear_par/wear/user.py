@@ -3,13 +3,15 @@
 import ast
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, derivative, read_only
 from ringwear_par.errors import InputError, LawError
+from ringwear_par.files.text import read_text
 from ringwear_par.wear.at import LocalState
 
 #: pressure (MPa) and worn depth (mm) of which difference quotients take a part as their step,
@@ -104,6 +106,27 @@ class UserCode:
     #: what is wrong with it, by number of the history that called it last
     faults: dict[int, str] = field(default_factory=dict, init=False, compare=False, repr=False)
 
+    @classmethod
+    def of_file(cls, name: str) -> Self:
+        """Return the code of a Python file.
+
+        Raises
+        ------
+        InputError : it cannot be read or run, or does not define a law.
+        """
+        must = "must be a Python file"
+        try:
+            code = cls(name, read_text(Path(name)))
+            rate = code.get("rate")
+        except InputError as error:
+            raise InputError(f"file = {error}; {must}") from error
+        except (Exception, SystemExit) as error:  # whatever a user's code may raise
+            reason = f"{type(error).__name__}: {error}"
+            raise InputError(f"file = {name}: cannot be run ({reason}); {must}") from error
+        if not callable(rate):
+            raise InputError(f"file = {name}: does not define rate; must define rate(p, at)")
+        return code
+
     @property
     def is_file(self) -> bool:
         """Whether it is a file's, not an object's."""
@@ -129,25 +152,6 @@ class UserCode:
     def length(self) -> float:
         """Averaging length of an object's law, mm; 0 for a local law."""
         return 0.0 if self.is_file else float(self.get("length", 0.0))
-
-    def fault(self) -> str:
-        """Return why it is no law, "" if it is one."""
-        try:
-            rate, _ = self.get("rate"), (self.length, self.breakpoints)
-        except (Exception, SystemExit) as error:  # whatever a user's code may raise
-            reason = f"{type(error).__name__}: {error}"
-            if self.is_file:
-                return f"cannot be run ({reason}); must be a Python file"
-            return (
-                f"{self.called}: {reason}; its length must be a number (mm), its breakpoints a "
-                "list of times (s)"
-            )
-        if self.is_file:
-            return "" if callable(rate) else "does not define rate; must define rate(p, at)"
-        is_class = isinstance(self.source, type)
-        what = f"{self.source.__name__} is a class" if is_class else f"{self.called} is no wear law"
-        is_law = callable(rate) and not is_class
-        return "" if is_law else f"{what}; must be an object with rate(p, local)"
 
     def values(self, p: FloatArray, local: LocalState) -> tuple[FloatArray, ...]:
         """Return the rate, its slope, and d rate / d wear if it remembers, at pressures (n,).
@@ -191,14 +195,13 @@ class UserCode:
         if not real:
             return result
         bad = ~np.isfinite(result)
-        quantity, allowed = "rate", "a finite number"
-        if name != "rate":
-            quantity = "derivative of the rate"
         if name != "d_rate_dwear":
-            bad, allowed = bad | (result < 0.0), "a finite number >= 0"
+            bad |= result < 0.0
         if bad.any():
             e = int(bad.argmax())
-            if name == "d_rate_dp" and result[e] < 0.0:
+            quantity = "rate" if name == "rate" else "derivative of the rate"
+            allowed = "a finite number" + (" >= 0" if name != "d_rate_dwear" else "")
+            if name == "d_rate_dp":
                 allowed += ": rates must not fall with pressure"
             raise LawError(
                 f"{self.called}: {name}() gives {result[e]:g} as {quantity}"
@@ -215,10 +218,17 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
     InputError : it is none, wears without pressure, or gives NaN, negative rates or rates that
         fall.
     """
+    if isinstance(code.source, type) or not callable(code.get("rate")):
+        is_class = isinstance(code.source, type)
+        what = f"{code.source.__name__} is a class" if is_class else f"{code.called} is no wear law"
+        raise InputError(f"{what}; must be an object with rate(p, local)")
+    try:
+        _ = code.length, code.breakpoints
+    except Exception as error:  # whatever a user's code may raise
+        must = "length must be a number (mm), breakpoints a list of times (s)"
+        raise InputError(f"{code.called}: {error}; {must}") from error
     p = np.linspace(0.0, pressure, _TRIED)[:, None] * np.ones_like(local.r)
     try:
-        if fault := code.fault():
-            raise InputError(fault)
         rates = np.array([code.values(row, local)[0] for row in p])
     except LawError as error:
         raise InputError(str(error)) from error

@@ -29,8 +29,7 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.wear.law import Law, parameters_of
-from ringwear_par.wear.laws import LAWS
+from ringwear_par.wear.laws import LAWS, Law
 
 
 def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
@@ -146,7 +145,8 @@ def read_law(
     law = values.get(f"{table}.law")
     if law is None:
         return None
-    declared = parameters_of(LAWS[law])
+    kind = LAWS[law]
+    declared = kind.parameters
     law_faults = [
         Fault(
             f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"',
@@ -154,7 +154,7 @@ def read_law(
             "missing",
         )
         for key, parameter in declared.items()
-        if parameter.needed and values.get(f"{table}.{key}", "") is None
+        if parameter.default is ... and values.get(f"{table}.{key}", "") is None
     ]
     own_keys = law_keys(table, law)
     where = f'where {table}.law = "{law}"; must be among {", ".join(declared)}'
@@ -164,32 +164,15 @@ def read_law(
         if path.startswith(f"{table}.") and path not in own_keys and key_of(path) is not None
     ]
     parameters = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
+    law_faults += kind.faults(f"{table}.", parameters)
     result = None
-    if law_faults or len(parameters) < len(declared):
-        law_faults += LAWS[law].faults(f"{table}.", parameters)
-    else:
-        result, law_faults = make_law(LAWS[law], table, parameters)
+    if not law_faults and len(parameters) == len(declared):
+        try:
+            result = kind.law(**parameters)
+        except InputError as error:
+            law_faults = [Fault(f"{table}.{fault}", table, fault.code) for fault in error.faults]
     faults += [fault.reworded(f"{name}: {fault}") for fault in law_faults]
     return result
-
-
-def make_law(
-    kind: type[Law], table: str, values: Mapping[str, Any]
-) -> tuple[Law | None, list[Fault]]:
-    """Return a law of parameters that are right one by one; or None, and what is wrong with them.
-
-    Parameters
-    ----------
-    table : as of ``read_law``.
-    values : of all parameters, by name.
-    """
-    faults = kind.faults(f"{table}.", values)
-    if faults:
-        return None, faults
-    try:
-        return kind.from_values(values), []
-    except InputError as error:
-        return None, [Fault(f"{table}.{fault}", table, fault.code) for fault in error.faults]
 
 
 def _rule(path: str) -> str:
@@ -201,7 +184,7 @@ def _rule(path: str) -> str:
 def _owners(path: str) -> str:
     """Return the laws that have a parameter, in words."""
     name = path.rpartition(".")[2]
-    laws = [f'"{law}"' for law in LAWS if name in parameters_of(LAWS[law])]
+    laws = [f'"{law}"' for law in LAWS if name in LAWS[law].parameters]
     return f" ({name} is of law = {' or '.join(laws)})" if laws else ""
 
 

@@ -1,17 +1,15 @@
 """Users' wear laws tried before a case runs."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import Fault, InputError
 from ringwear_par.schedules import largest
-from ringwear_par.wear.checked_law import CompletedLaw
-from ringwear_par.wear.laws import LAWS
-from ringwear_par.wear.laws.user import UserLaw
-from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.trials import check_object, check_user_law
+from ringwear_par.wear.at import LocalState
+from ringwear_par.wear.user import try_law
 
-_OURS = set(LAWS.values()) - {UserLaw}
 _ELEMENTS = 60
 #: pressures up to which laws are tried, in mean pressures of a case; MPa where it has none
 _MEANS, _PRESSURE = 5.0, 300.0
@@ -20,16 +18,14 @@ _MEANS, _PRESSURE = 5.0, 300.0
 def law_sources(case: Case) -> dict[str, str]:
     """Return the texts of the user's own laws by body or layer: "lower", "lower.layers[0]"."""
     return {
-        table.removeprefix("wear.").removesuffix(".wear"): law.source
+        table.removeprefix("wear.").removesuffix(".wear"): law.code.source
         for table, law in case.laws_by_table.items()
-        if isinstance(law, UserLaw)
+        if law is not None and law.code is not None and law.code.is_file
     }
 
 
 def refuse_bad_laws(case: Case, name: str) -> None:
-    """Refuse users' laws that are none, or whose slopes are wrong: from files, and objects.
-
-    Not collective.
+    """Refuse users' laws that are none: from files, and objects. Not collective.
 
     Raises
     ------
@@ -38,23 +34,16 @@ def refuse_bad_laws(case: Case, name: str) -> None:
     faults: list[str] = []
     force = case.load.force
     pressure = _PRESSURE if force is None else _MEANS * largest(force) / case.area
+    r = np.linspace(*case.contact, _ELEMENTS, dtype=np.float64)
+    speed = (largest(case.load.omega) or 1.0) * r  # at the largest speed, or at 1 rad/s
+    at = LocalState(0.0, r, speed, largest(case.friction), np.zeros_like(r), speed)
     for table, law in case.laws_by_table.items():
-        if law is None or type(law) in _OURS:  # which are what they should be
+        if law is None or law.code is None:
             continue
-        key = f"{table}.file" if isinstance(law, UserLaw) else table
+        key = f"{table}.file" if law.code.is_file else table
         try:
-            if not isinstance(law, UserLaw):
-                check_object(law)
-                law = CompletedLaw(law)
-            check_user_law(law, _at_start(case), pressure)
+            try_law(law.code, replace(at, parameters=law.at(at)), pressure)
         except InputError as error:
             faults += [Fault(f"{name}: {key}: {f}", key, "not_allowed") for f in error.faults]
     if faults:
         raise InputError(*faults)
-
-
-def _at_start(case: Case) -> LocalState:
-    """Return the local state along the contact at the largest speed, or at 1 rad/s."""
-    r = np.linspace(*case.contact, _ELEMENTS, dtype=np.float64)
-    speed = (largest(case.load.omega) or 1.0) * r
-    return LocalState(0.0, r, speed, largest(case.friction), np.zeros_like(r), speed)

@@ -10,12 +10,12 @@ import numpy as np
 from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
+from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.history.smooth_keys import smooth_keys
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER

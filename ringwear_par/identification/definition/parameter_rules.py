@@ -7,11 +7,9 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.layers import expanded
-from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.cases.smooth_keys import elastic_numbers, smooth_keys
 from ringwear_par.errors import Fault, InputError
-from ringwear_par.history.smooth_keys import elastic_numbers, smooth_keys
 from ringwear_par.identification.definition.problem import FittedParameter
-from ringwear_par.wear.law import parameters_of
 
 #: the loads of a test, of which it has one
 LOADS = ("load.force", "load.pressure", "load.displacement")
@@ -42,14 +40,13 @@ def _refuse_order(
     As k_start of at least k. Where both are fitted, values out of order are improbable.
     """
     bounds = {parameter.key: parameter.bounds for parameter in parameters}
-    for body, law in zip(BODIES, case.laws, strict=True):
-        for name, rule in parameters_of(type(law)).items() if law else ():
-            larger, smaller = f"wear.{body}.{name}", f"wear.{body}.{rule.at_least}"
-            if not rule.at_least or (larger in bounds) == (smaller in bounds):
+    for table, law in case.laws_by_table.items():
+        for rule in () if law is None else law.kind.declared:
+            larger, smaller = f"{table}.{rule.name}", f"{table}.{rule.at_least}"
+            if law is None or not rule.at_least or (larger in bounds) == (smaller in bounds):
                 continue
-            assert law is not None
-            low = bounds[larger][0] if larger in bounds else law.quantity(name)
-            high = bounds[smaller][1] if smaller in bounds else law.quantity(rule.at_least)
+            low = bounds[larger][0] if larger in bounds else law.values[rule.name]
+            high = bounds[smaller][1] if smaller in bounds else law.values[rule.at_least]
             if isinstance(low, float | int) and isinstance(high, float | int) and low < high:
                 faults.append(
                     f"{place}: bounds let {larger} be {low:g}, less than {smaller}, {high:g}; must "

@@ -12,7 +12,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files.smoothing import Smoothing, curve
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.wear.layered import LayeredLaw
+from ringwear_par.wear.laws import LayeredLaw
 
 #: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
