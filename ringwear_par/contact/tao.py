@@ -69,6 +69,9 @@ class TaoContact:
             ksp.getPC().setType("jacobi")
             ksp.setTolerances(rtol=1e-8, max_it=1000)
             ksp.setGMRESRestart(200)
+        options = PETSc.Options(CONTACT_PREFIX)
+        if not options.hasName("tao_fmin"):  # of the merit function: TAO's own 1e-8 ends too early
+            options.setValue("tao_fmin", 1e-30)
         set_from_options(tao, CONTACT_PREFIX)
         self._base, self._jacobian, self._tao, self._ksp = base, jacobian, tao, ksp
         self._x, self._f, self._things = x, f, (tao, base, jacobian, x, f, low, high)
@@ -124,13 +127,14 @@ class TaoContact:
     def filtered(self, error: FloatArray, wear: StepWear, p: FloatArray) -> FloatArray:
         """Return what is left of errors of depth (B, n) when pressures have given way to them."""
         left = error.copy()
-        for row in range(len(p)):
+        for row in np.flatnonzero((p > 0.0).any(axis=1)):
             self._pose(row, error[row], 0.0, wear)
             self._x.setArray(np.append(p[row] / self._to_pressure, 0.0)[self._rows])
             self._set_jacobian(None, self._x, self._jacobian, None)
             self._jacobian.zeroRows(np.flatnonzero(p[row] <= 0.0).astype(np.int32), 1.0)
             pressed = np.append(-self._weight * error[row] * (p[row] > 0.0), 0.0)
             self._f.setArray(pressed[self._rows])
+            self._ksp.reset()  # TAO's systems are of the elements in contact
             self._ksp.setOperators(self._jacobian)
             self._ksp.solve(self._f, self._x)
             relief = self._gathered(self._x)[:-1] * self._to_pressure
