@@ -12,6 +12,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.history.elastic import assemble
+from ringwear_par.options import contact_solver
 from ringwear_par.batched import choose, take
 from ringwear_par.contact.block import BlockSolver
 from ringwear_par.contact.tao import TaoContact
@@ -34,6 +38,8 @@ from ringwear_par.parallel import as_on_first_rank
 _GAP = 0.2
 #: share of the histories that have ended and yet step along
 _IDLE = 0.125
+#: fewest elements of which ranks share the contact of one history
+_SHARED = 512
 #: schemes by their name in cases
 _SCHEMES: Mapping[str, Scheme] = {"adaptive": sdirk2, "implicit": implicit, "explicit": explicit}
 
@@ -152,6 +158,46 @@ def simulate(
             break
         limit = limit + (passed & going)
     return failures
+
+
+def simulate_one(
+    case: Case,
+    comm: MPI.Comm,
+    save: Save,
+    *,
+    pair: ContactPair | None = None,
+    first: State | None = None,
+    every: bool = False,
+) -> None:
+    """Advance one history to its end, see ``simulate``: its contacts are solved by TAO.
+
+    Collective on comm, the same on all ranks.
+
+    Parameters
+    ----------
+    pair : contact pair of the case; None: it is assembled.
+
+    Raises
+    ------
+    ComputationError : a step could not be made; it is named with its time.
+    UnfitError : the case's own numbers do not go together, as its first contact shows.
+    """
+    following = Following(case, comm) if case.follows_wear else None
+    if pair is None:
+        pair = assemble(case, comm) if following is None else following.pair
+    block = Block.of([case], [pair])
+    if block.is_local and following is None and contact_solver() == "block":
+        failures = simulate(block, save, first=first, every=every, comm=comm)
+    else:
+        # rows of small systems are not worth messages
+        own = comm if case.line.n >= _SHARED else MPI.COMM_SELF
+        with TaoContact(block.compliance, block.by_force, own) as solver:
+            failures = simulate(
+                block, save, solver=solver, first=first, following=following, every=every,
+                comm=comm,
+            )  # fmt: skip
+    for error in failures.values():
+        raise error
 
 
 def _after(
