@@ -19,7 +19,6 @@ from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
-from ringwear_par.results.attributes import case_attributes, times_through
 from ringwear_par.results.fields import (
     boundary_arrays,
     point_columns,
@@ -27,7 +26,14 @@ from ringwear_par.results.fields import (
     stress_rows,
 )
 from ringwear_par.results.key_numbers import end_numbers
-from ringwear_par.results.result import BALANCE, Checkpoint, HistoryColumns, Result
+from ringwear_par.results.result import (
+    BALANCE,
+    Checkpoint,
+    HistoryColumns,
+    Result,
+    case_attributes,
+    times_through,
+)
 from ringwear_par.results.rows import LastStates, StoredRows
 from ringwear_par.results.variables import LAYER_ENDS
 from ringwear_par.results.warnings import INFINITE, Measures, Warnings

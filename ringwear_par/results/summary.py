@@ -124,7 +124,7 @@ def warnings_of(result: Result) -> list[str]:
     if about["status"] != "complete":
         where = f"t = {last.state.time:g} of {about['time_end']:g} s"
         if not SCHEMES[about["scheme"]].adaptive:
-            where = f"step {int(last.progress.steps)} of {about['time_steps']}"
+            where = f"step {last.start.progress.steps[0]} of {about['time_steps']}"
         sentences.append(
             f"failed after {where}: {about['error']}"
             if about["error"]
