@@ -101,7 +101,8 @@ class Compliance:
         By reciprocity it vanishes with the mesh.
         """
         known: dict[tuple[float, ...], float] = {}
-        for row, key in enumerate(keys := [*zip(self.pair.tolist(), *self.softness.T.tolist())]):
+        keys = [*zip(self.pair.tolist(), *self.softness.T.tolist(), strict=True)]
+        for row, key in enumerate(keys):
             if key not in known:
                 weighted = self.line.area[:, None] * self.matrix(row)
                 off = np.abs(weighted - weighted.T).max()
@@ -114,6 +115,9 @@ class Compliance:
 
     def deflection(self, p: FloatArray) -> FloatArray:
         """Return what elements give way under pressures, (B, n) mm."""
+        if len(self.line.pairs) == 1:
+            lower, upper = self.line.units[0]
+            return self.softness[:, :1] * (p @ lower.T) + self.softness[:, 1:] * (p @ upper.T)
         gives = np.empty_like(p)
         for number in np.unique(self.pair):
             rows = self.pair == number

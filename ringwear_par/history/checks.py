@@ -70,10 +70,11 @@ class Worst:
     """The largest value of each measure of B histories so far, with its time and place.
 
     Measures are the balances; the approach (mm), the larger of approach and depths of wear (mm),
-    the force (N), the mean pressure on the elements in contact (MPa), where they are enough to tell
-    it; the force on few elements, see ``force_measure``; the asymmetry of the compliance; the share
-    of the load between faces of unlike slopes, with the radius (mm) where it is largest and the
-    angles there of lower, of upper and of the pressure (degrees); and shares of worn layers.
+    the force that is carried (N), the mean pressure on the elements in contact (MPa), where they
+    are enough to tell it; the force on few elements, see ``force_measure``; the asymmetry of the
+    compliance; the share of the load between faces of unlike slopes, with the radius (mm) where it
+    is largest and the angles there of lower, of upper and of the pressure (degrees); and shares of
+    worn layers.
     """
 
     def __init__(self, count: int) -> None:
@@ -165,7 +166,7 @@ def _measures(block: Block, state: State) -> dict[str, Any]:
     measures = {
         "approach": state.approach,
         "moved": np.max([state.approach, *wear.max(axis=2, initial=0.0)], axis=0),
-        "force": force,
+        "carried": force,
         "mean_pressure": np.divide(force, touching, out=np.zeros_like(force), where=enough),
     }
     if not state.time.any():  # it stays, but where elements follow the wear

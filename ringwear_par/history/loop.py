@@ -29,7 +29,7 @@ from ringwear_par.history.failures import (
     step_failure,
 )
 from ringwear_par.history.following import Following
-from ringwear_par.history.layers import enter_layers
+from ringwear_par.history.layers import enter_layers, settled
 from ringwear_par.history.schemes import Scheme, Solver, explicit, implicit, sdirk2, start
 from ringwear_par.history.state import State
 from ringwear_par.options import contact_solver
@@ -139,7 +139,10 @@ def simulate(
         verdict = judge(block, state, step, share, is_cut, going, order)
         # ranks may differ by round-off, or by their processor: the first decides
         accepted, stuck, length = as_on_first_rank(comm, verdict)
+        before = state
         state = _after(block, state, step.state, accepted, step_error(block, step, share))
+        if (entered := (state.layer != before.layer).any(axis=(0, 2))).any():
+            state = settled(block, solver, state, entered)
         state = replace(state, length=length, interface=np.where(going, step.interface, np.inf))
         off = accepted & _is_off(block, state)
         for row in np.flatnonzero(stuck & going).tolist():

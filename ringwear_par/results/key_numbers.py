@@ -14,7 +14,7 @@ from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.results.result import HistoryColumns, Last, Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Table, in_time, integral, mean
+from ringwear_par.schedules import Quantity, Schedules, Table, in_time, integral, mean
 
 _HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
@@ -32,9 +32,8 @@ MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer me
 TIME_STEPS = "estimated error of wear depth from time steps"
 #: balances of results, with their groups and labels
 _CHECKED = {
-    "residual": (BALANCES, "contact conditions (KKT)"),
+    "residual": (BALANCES, "contact conditions, eq. (3)"),
     "force": (BALANCES, "contact force against the applied force"),
-    "volume": (BALANCES, "worn profiles against integrated rates"),
     "energy": (BALANCES, "worn volume against friction energy"),
     "reaction": (MESH_BALANCES, "force on the held faces"),
     "torque": (MESH_BALANCES, "torque on the held faces"),
@@ -378,12 +377,9 @@ def check_numbers(result: Result) -> list[KeyNumber]:
         if name in off and (name != "energy" or about["energy_identity"])
     ]
     label, defect = "asymmetry of the compliance matrix", float(about["symmetry_defect"])
-    note = "corrected for"
-    numbers.append(KeyNumber("symmetry_defect", MESH_BALANCES, label, defect, "", note, ".1e"))
+    numbers.append(KeyNumber("symmetry_defect", MESH_BALANCES, label, defect, spec=".1e"))
     if "step_error" in off:
         label, note = "of the whole history", "without that of the mesh"
-        if about["closing_contact"]:
-            note += ", and of elements that come into contact"
         error = 1e3 * off["step_error"]
         numbers.append(KeyNumber("step_error", TIME_STEPS, label, error, "um", note, ".2g"))
     return numbers

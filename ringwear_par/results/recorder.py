@@ -93,9 +93,9 @@ class Recorder:
         self._worst.restore(before.checkpoint.worst)
         if self._cases[0].output.boundary != "last":
             self._boundaries.states = [*before.boundary]
-        if before.stress is not None and self._cases[0].stress is not None:
-            if self._cases[0].stress.times != "last":
-                self._stresses.states[0] = [*before.stress.states]
+        stress = self._cases[0].stress
+        if before.stress is not None and stress is not None and stress.times != "last":
+            self._stresses.states[0] = [*before.stress.states]
 
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""

@@ -163,7 +163,7 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
     )  # fmt: skip
 
     few = np.array([worst[force_measure(count)][:2] for count in range(1, FEW_ELEMENTS)])
-    heavy = few[:, 0] > _SLIGHT_LOAD * worst["force"][0]
+    heavy = few[:, 0] > _SLIGHT_LOAD * worst["carried"][0]
     fewest = heavy.argmax(axis=0)
     yield "few_elements_in_contact", heavy.any(axis=0), lambda i: (
         f"{fewest[i] + 1} of {cases[0].line.n} elements are in contact at t = "

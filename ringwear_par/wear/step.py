@@ -123,7 +123,7 @@ class StepWear:
 
         (n,) mm, and (n,) mm/MPa, or (n, n) of a non-local law.
         """
-        rows = np.array([row])
+        rows = None if self._wear.shape[1] == 1 else np.array([row])
         if self.is_local:
             const, slope = self.lines(p[None], rows)
             line = const + slope * p
