@@ -73,7 +73,7 @@ def test_replace_is_a_changed_and_checked_copy():
 
 def test_a_table_takes_the_place_of_the_one_before():
     case = read_case(PAPER)
-    assert case.wear_lower.p0 > 0.0
+    assert case.wear_lower.values["p0"] > 0.0
     table = {"law": "threshold", "k": 2e-7}
     for changes in ({"wear.lower": table}, ["wear.lower={law='threshold', k=2e-7}"]):
         assert read_case(PAPER, changes).wear_lower == replace(case.wear_lower, k=2e-7, p0=0.0)
@@ -92,7 +92,7 @@ def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
     law = (CASES / "user_law.py").read_text()
     (tmp_path / "user_law.py").write_text(law, encoding="utf-8-sig")
     path.write_text((CASES / "user_law.toml").read_text(), encoding="utf-8-sig")
-    assert read_case(path).wear_lower.source == law
+    assert read_case(path).wear_lower.code.source == law
 
 
 @pytest.mark.parametrize(
