@@ -74,7 +74,8 @@ FAULTS = [
           "history/test_history.py::test_twenty_steps_nearly_serve_for_two_hundred"),
     # laws of wear
     Fault("threshold law without friction", "wear/laws.py", "rise = (k * at.friction) * at.speed",
-          "rise = k * at.speed", "wear/test_laws.py::test_rates_and_slopes_are_those_of_the_formula"),
+          "rise = k * at.speed",
+          "wear/test_laws.py::test_rates_and_slopes_are_those_of_the_formula"),
     Fault("Archard's volume per energy", "wear/laws.py", "return k / friction if", "return k if",
           "wear/test_laws.py::test_worn_volume_by_energy"),
     Fault("derivative by the input before", "functions/function.py",
