@@ -1,4 +1,4 @@
-"""The extension ``elasticity._rings``; all else is in pyproject.toml."""
+"""The extensions ``elasticity._rings`` and ``contact._rows``; all else is in pyproject.toml."""
 
 import platform
 
@@ -10,12 +10,28 @@ from setuptools import Extension, setup
 FLAGS = ["-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"]
 if platform.machine() in ("x86_64", "AMD64"):
     FLAGS.append("-mprefer-vector-width=512")
+# sums in any order, of numbers that are finite
+SUMS = ["-fno-signed-zeros", "-fassociative-math", "-freciprocal-math", "-ffinite-math-only"]
 
-rings = Extension(
-    "ringwear_par.elasticity._rings",
-    ["ringwear_par/elasticity/_rings.pyx"],
-    depends=["ringwear_par/elasticity/_rings.h"],
-    include_dirs=["ringwear_par/elasticity"],
-    extra_compile_args=FLAGS,
+
+def extension(room: str, name: str, flags: list[str]) -> Extension:
+    """Return the extension of a Cython file and the C header of its name."""
+    path = f"ringwear_par/{room}"
+    return Extension(
+        f"ringwear_par.{room}.{name}",
+        [f"{path}/{name}.pyx"],
+        depends=[f"{path}/{name}.h"],
+        include_dirs=[path],
+        extra_compile_args=flags,
+    )
+
+
+setup(
+    ext_modules=cythonize(
+        [
+            extension("elasticity", "_rings", FLAGS),
+            extension("contact", "_rows", [*FLAGS, *SUMS, "-funroll-loops"]),
+        ],
+        build_dir="build",
+    )
 )
-setup(ext_modules=cythonize([rings], build_dir="build"))

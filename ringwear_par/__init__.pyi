@@ -7,7 +7,7 @@ from ringwear_par.errors import ComputationError as ComputationError
 from ringwear_par.errors import InputError as InputError
 from ringwear_par.functions.function import Function as Function
 from ringwear_par.functions.function import function as function
-from ringwear_par.history.elastic.pairs import assemble as assemble
+from ringwear_par.history.elastic import assemble as assemble
 from ringwear_par.identification.design.design import DesignResult as DesignResult
 from ringwear_par.identification.design.design import design as design
 from ringwear_par.identification.fit import fit as fit

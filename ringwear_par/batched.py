@@ -1,13 +1,11 @@
-"""Batches of histories: dataclasses of arrays with an axis of B histories, cut, joined and mixed.
+"""Blocks of B histories: arrays, and dataclasses of arrays, cut and mixed along their histories.
 
-A field has its histories along axis 0, unless it is declared with the metadata ``along(axis)``.
-Fields that are None, and those with ``along(None)``, which all histories share, stay as they are;
-dataclasses within are treated alike.
+Histories are the only axis of numbers (B,), and the last axis but one of fields (..., B, n). A
+dataclass with ``shared = True`` belongs to all histories and stays as it is.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass
-from functools import cache
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,58 +15,35 @@ from ringwear_par.arrays import BoolArray, IntArray
 T = TypeVar("T")
 
 
-def along(axis: int | None) -> dict[str, int | None]:
-    """Return the metadata of a field whose histories are along an axis; None: along none."""
-    return {"histories": axis}
+def take(block: T, histories: IntArray) -> T:
+    """Return some of the histories of a block, in the order of their numbers (h,)."""
+    return _mapped(lambda a: a[histories] if a.ndim == 1 else a[..., histories, :], block)
 
 
-def take(batch: T, histories: IntArray) -> T:
-    """Return some of the histories of a batch, in the order of their numbers (h,)."""
-    return _apply(lambda axis, values: values.take(histories, axis), batch)
+def choose(which: BoolArray, new: T, old: T) -> T:
+    """Return a block whose histories are the new ones where so, (B,), else the old ones."""
+    return _mapped(lambda a, b: np.where(which if a.ndim == 1 else which[:, None], a, b), new, old)
 
 
-def keep(holder: object, names: Sequence[str], histories: IntArray) -> None:
-    """Leave some of the histories in attributes of an object, (B, ...) each."""
-    for name in names:
-        setattr(holder, name, getattr(holder, name)[histories])
+def _mapped(function: Callable[..., Any], first: Any, *others: Any) -> Any:
+    """Return what holds arrays with a function of each; all else is that of the first."""
+    if isinstance(first, np.ndarray):
+        return function(first, *others)
+    if isinstance(first, dict):
+        return {key: _mapped(function, first[key], *(o[key] for o in others)) for key in first}
+    if isinstance(first, tuple) and not hasattr(first, "_fields"):
+        return tuple(_mapped(function, *values) for values in zip(first, *others, strict=True))
+    if is_dataclass(first) and not isinstance(first, type) and not getattr(first, "shared", False):
+        changes = {}
+        for field in fields(first):
+            value = getattr(first, field.name)
+            new = _mapped(function, value, *(getattr(other, field.name) for other in others))
+            if new is not value and field.init:
+                changes[field.name] = new
+        return replace(first, **changes)
+    return first
 
 
-def one(batch: T, history: int) -> T:
-    """Return one of the histories of a batch, without the axis."""
-    return _apply(lambda axis, values: np.take(values, history, axis), batch)
-
-
-def concat(batches: Sequence[T]) -> T:
-    """Return one batch of the histories of several."""
-    return _apply(lambda axis, *values: np.concatenate(values, axis), *batches)
-
-
-def where(accepted: BoolArray, new: T, old: T) -> T:
-    """Return a batch whose histories are the new ones where accepted (B,), else the old ones."""
-
-    def choose(axis: int, after: Any, before: Any) -> Any:
-        trailing = np.ndim(after) - axis - 1
-        return np.where(accepted.reshape(-1, *(1,) * trailing), after, before)
-
-    return _apply(choose, new, old)
-
-
-def _apply(function: Callable[..., Any], first: Any, *further: Any) -> Any:
-    changed: dict[str, Any] = {}
-    for name, axis in _fields(type(first)):
-        value, more = getattr(first, name), [getattr(batch, name) for batch in further]
-        if axis is None or value is None or (more and any(entry is None for entry in more)):
-            changed[name] = value
-        elif isinstance(value, np.ndarray) or not is_dataclass(value):
-            changed[name] = function(axis, value, *more)
-        else:
-            changed[name] = _apply(function, value, *more)
-    return type(first)(**changed)
-
-
-def _declared(batch: type) -> tuple[tuple[str, int | None], ...]:
-    """Return the fields that make a batch, with the axes of their histories."""
-    return tuple((f.name, f.metadata.get("histories", 0)) for f in fields(batch) if f.init)
-
-
-_fields: Callable[[type], tuple[tuple[str, int | None], ...]] = cache(_declared)
+def one(block: T, history: int = 0) -> T:
+    """Return one of the histories of a block, without the axis."""
+    return _mapped(lambda a: np.asarray(a[history] if a.ndim == 1 else a[..., history, :]), block)

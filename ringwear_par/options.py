@@ -43,6 +43,21 @@ def start_petsc(words: Sequence[str]) -> None:
         raise RingwearError("PETSc for Python is a build with complex scalars; must be real")
 
 
+def contact_solver() -> str:
+    """Return what solves the contacts of one history: "tao", or "block" by ``-contact_solver``.
+
+    Raises
+    ------
+    InputError : it is neither.
+    """
+    from petsc4py import PETSc
+
+    solver = PETSc.Options(CONTACT_PREFIX).getString("solver", "tao")
+    if solver not in ("tao", "block"):
+        raise InputError(f'-contact_solver {legible(solver)}: must be "tao" or "block"')
+    return solver
+
+
 def set_from_options(solver: "PETSc.KSP | PETSc.TAO", prefix: str) -> None:
     """Let a solver read its PETSc options. Collective on the solver.
 

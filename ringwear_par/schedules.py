@@ -1,16 +1,13 @@
-"""Quantities of a case: numbers, tables in time, or profiles along the radius; stacks of them.
+"""Quantities of a case: numbers, tables in time, or profiles along the radius; of many histories."""
 
-Times are a number, or an array for many histories at once; values have its shape.
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, overload
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 
 #: share of a schedule's largest size within which a point on the line of its neighbours is no bend,
 #: see ``bends``
@@ -59,95 +56,86 @@ class Table:
         return total if isinstance(x, np.ndarray) else float(total)
 
 
-@dataclass(frozen=True, eq=False)
-class Stacked:
-    """A quantity for each of B histories, whose times are (B,), or a column (B, 1)."""
+@dataclass(frozen=True)
+class Schedules:
+    """Numbers of B histories, linear between times and constant beyond them."""
 
-    #: the B quantities, numbers or tables; numbers alone may be an array
-    quantities: tuple[float | Table, ...] | FloatArray
+    #: (B, m) s, not falling, and the numbers then
+    t: FloatArray
+    y: FloatArray
+
+    @classmethod
+    def of(cls, quantities: Sequence[float | Table]) -> "Schedules":
+        """Return numbers, or tables in time, of some histories."""
+        points = [(q.x, q.y) if isinstance(q, Table) else ((0.0,), (float(q),)) for q in quantities]
+        return cls(padded([x for x, _ in points]), padded([y for _, y in points]))
 
     @cached_property
-    def numbers(self) -> FloatArray | None:
-        """(B,) the quantities, where they are all numbers."""
-        if isinstance(self.quantities, np.ndarray):
-            return self.quantities
-        tables = any(isinstance(q, Table) for q in self.quantities)
-        return None if tables else np.array(self.quantities)
+    def constant(self) -> bool:
+        """Whether no history's number changes."""
+        return self.t.shape[1] == 1
 
-    def value(self, time: float | FloatArray, r: FloatArray | None) -> FloatArray:
-        """Return (B,) values at times (B,); (B, 1) at a column, (B, n) where one is a profile."""
-        column = np.ndim(time) > 1
-        if self.numbers is not None:
-            return self.numbers[:, None] if column else self.numbers
-        times = np.broadcast_to(np.ravel(time), len(self.quantities)).tolist()
-        values = [value(q, t, r) for q, t in zip(self.quantities, times, strict=True)]
-        return np.array(np.broadcast_arrays(*map(np.atleast_1d, values)) if column else values)
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the numbers at times, (B,)."""
+        if self.constant:
+            return self.y[:, 0]
+        rows = np.arange(len(time))
+        i = np.clip((self.t <= time[:, None]).sum(axis=1) - 1, 0, self.t.shape[1] - 2)
+        past, width = time - self.t[rows, i], self.t[rows, i + 1] - self.t[rows, i]
+        share = np.divide(past, width, out=np.zeros_like(past), where=width > 0.0).clip(0.0, 1.0)
+        return (1.0 - share) * self.y[rows, i] + share * self.y[rows, i + 1]
+
+    def integral(self, time: FloatArray) -> FloatArray:
+        """Return the integrals from 0 to times, (B,)."""
+        if self.constant:
+            return self.y[:, 0] * time
+        last = np.full_like(self.t[:, :1], np.inf)
+        ends = np.clip(time[:, None], self.t, np.append(self.t[:, 1:], last, axis=1))
+        at_ends = np.stack([self.at(column) for column in ends.T], axis=1)
+        before = self.y[:, 0] * np.minimum(time, self.t[:, 0])
+        return before + (0.5 * (self.y + at_ends) * (ends - self.t)).sum(axis=1)
+
+    def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return the means over intervals, (B,)."""
+        if self.constant:
+            return self.y[:, 0]
+        return (self.integral(end) - self.integral(start)) / (end - start)
 
 
-Quantity = float | Table | Stacked
+def padded(rows: Sequence[Sequence[float]]) -> FloatArray:
+    """Return rows of unlike lengths as one array, each row's last number repeated."""
+    most = max(map(len, rows))
+    return np.array([[*row, *[row[-1]] * (most - len(row))] for row in rows], dtype=float)
 
 
-def value(
-    quantity: Quantity, time: float | FloatArray, r: FloatArray | None = None
-) -> float | FloatArray:
-    """Return a quantity at a time (s), and at radii (mm) where it is a profile.
+Quantity = float | Table
 
-    Parameters
-    ----------
-    time : a number, or (B, 1) of B histories, whose elements the value goes with.
-    r : (n,) float.
-    """
-    if isinstance(quantity, float):  # most are, and this is done for every rate
+
+def value(quantity: Quantity, time: Any, r: FloatArray | None = None) -> Any:
+    """Return a quantity at a time, or times (s), and at radii (mm) where it is a profile."""
+    if not isinstance(quantity, Table):
         return quantity
-    if isinstance(quantity, Table):
-        if quantity.axis == "t":
-            return quantity(time)
-        if r is None:
-            raise ValueError("a profile along the radius has no value without one")
-        return quantity(r)
-    return quantity.value(time, r) if isinstance(quantity, Stacked) else quantity
+    return quantity(time if quantity.axis == "t" else r)
 
 
-@overload
-def in_time(quantity: Quantity, time: float) -> float: ...
-@overload
-def in_time(quantity: Quantity, time: FloatArray) -> FloatArray: ...
-def in_time(quantity: Quantity, time: float | FloatArray) -> float | FloatArray:
-    """Return a number or a table in time at a time (s); (B,) of a stack, or at (B,) times."""
-    if isinstance(quantity, Stacked):
-        return quantity.value(time, None)
+def in_time(quantity: Quantity, time: Any) -> Any:
+    """Return a number or a table in time at a time, or at times, s."""
     if isinstance(time, np.ndarray):
         return quantity(time) if isinstance(quantity, Table) else np.full(time.shape, quantity)
     return float(value(quantity, time))
 
 
-@overload
-def integral(quantity: Quantity, start: float, end: float) -> float: ...
-@overload
-def integral(quantity: Quantity, start: float | FloatArray, end: FloatArray) -> FloatArray: ...
-def integral(
-    quantity: Quantity, start: float | FloatArray, end: float | FloatArray
-) -> float | FloatArray:
-    """Return the time integral of a number or a table in time; (B,) up to (B,) ends."""
+def integral(quantity: Quantity, start: Any, end: Any) -> Any:
+    """Return the integral of a number or a table in time."""
     if isinstance(quantity, Table):
         return quantity.integral(end) - quantity.integral(start)
-    if isinstance(quantity, Stacked):
-        return _of_each(integral, quantity, start, end)
     return quantity * (end - start)
 
 
-@overload
-def mean(quantity: Quantity, start: float, end: float) -> float: ...
-@overload
-def mean(quantity: Quantity, start: float | FloatArray, end: FloatArray) -> FloatArray: ...
-def mean(
-    quantity: Quantity, start: float | FloatArray, end: float | FloatArray
-) -> float | FloatArray:
-    """Return the mean over an interval of time, (B,) up to (B,) ends; a number is its own."""
+def mean(quantity: Quantity, start: Any, end: Any) -> Any:
+    """Return the mean over an interval of time; a number is its own."""
     if isinstance(quantity, Table):
-        return integral(quantity, start, end) / (end - start)  # type: ignore[arg-type]
-    if isinstance(quantity, Stacked):
-        return _of_each(mean, quantity, start, end)
+        return integral(quantity, start, end) / (end - start)
     return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity
 
 
@@ -163,35 +151,18 @@ def mean_of_product(a: Quantity, b: Quantity, start: float, end: float) -> float
     return float(np.diff(times) @ (first + 4.0 * middle + last)) / 6.0 / (end - start)
 
 
-def _of_each(
-    function: Callable[[Quantity, float, float], float],
-    stacked: Stacked,
-    start: float | FloatArray,
-    end: float | FloatArray,
-) -> FloatArray:
-    """Return (B,) what a function makes of each quantity between its own times."""
-    starts, ends = (np.broadcast_to(t, len(stacked.quantities)).tolist() for t in (start, end))
-    return np.array([*map(function, stacked.quantities, starts, ends)])
-
-
 def largest(quantity: Quantity) -> float:
     """Return the largest value that a quantity takes."""
-    if isinstance(quantity, Stacked):
-        return max(map(largest, quantity.quantities))
     return max(quantity.y) if isinstance(quantity, Table) else quantity
 
 
 def smallest(quantity: Quantity) -> float:
     """Return the smallest value that a quantity takes."""
-    if isinstance(quantity, Stacked):
-        return min(map(smallest, quantity.quantities))
     return min(quantity.y) if isinstance(quantity, Table) else quantity
 
 
 def quantity_text(quantity: Quantity) -> str:
     """Return a quantity as messages and summaries show it."""
-    if isinstance(quantity, Stacked):
-        return f"{len(quantity.quantities)} numbers or tables to {largest(quantity):g}"
     return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
 
 
@@ -200,22 +171,10 @@ def points_of(table: Table) -> list[list[float]]:
     return [[*point] for point in zip(table.x, table.y, strict=True)]
 
 
-def varies(quantity: Quantity) -> bool:
-    """Tell whether a quantity, or one of a stack, is a table."""
-    if isinstance(quantity, Stacked):
-        return quantity.numbers is None
-    return isinstance(quantity, Table)
-
-
 def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
     """Return the times at which the slope of any of some quantities jumps, increasing."""
-    times: set[float] = set()
-    for q in quantities:
-        if isinstance(q, Stacked):
-            times.update(breakpoints(*(q.quantities if q.numbers is None else ())))
-        elif isinstance(q, Table) and q.axis == "t":
-            times.update(x for x in q.x if x > 0.0)
-    return tuple(sorted(times))
+    tables = (q for q in quantities if isinstance(q, Table) and q.axis == "t")
+    return tuple(sorted({x for q in tables for x in q.x if x > 0.0}))
 
 
 def bends(schedule: Quantity | None) -> tuple[float, ...]:
@@ -232,39 +191,3 @@ def bends(schedule: Quantity | None) -> tuple[float, ...]:
     sharp = x[1:-1][np.abs(y[1:-1] - past) > _SLIGHT_BEND * np.abs(y).max()]
     times = {schedule.x[0], *sharp.tolist(), schedule.x[-1]}
     return tuple(sorted(time for time in times if time > 0.0))
-
-
-def stack(quantities: Sequence[Quantity]) -> Quantity:
-    """Return one quantity for some histories; equal ones stay as they are.
-
-    Raises
-    ------
-    ValueError : one is a stack itself.
-    """
-    first = quantities[0]
-    if all(q == first for q in quantities):
-        return first
-    plain = tuple(q for q in quantities if not isinstance(q, Stacked))
-    if len(plain) < len(quantities):
-        raise ValueError("stacks cannot be stacked")
-    return Stacked(plain)
-
-
-def take(quantity: Any, histories: IntArray) -> Any:
-    """Return a stack, or an array (B, 1) or (B, n), of some of B histories."""
-    if isinstance(quantity, Stacked):
-        if quantity.numbers is not None:
-            return Stacked(quantity.numbers[histories])
-        return Stacked(tuple(quantity.quantities[i] for i in histories.tolist()))
-    if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
-        return quantity[histories]
-    return quantity
-
-
-def history(quantity: Any, i: int) -> Any:
-    """Return the entry of one of B histories in a stack, or an array (B, 1) or (B, n)."""
-    if isinstance(quantity, Stacked):
-        return quantity.quantities[i]
-    if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
-        return quantity[i] if quantity.shape[-1] > 1 else quantity[i, 0]
-    return quantity

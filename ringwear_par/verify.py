@@ -21,7 +21,7 @@ from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.start import first_contact
 from ringwear_par.parallel import together
 from ringwear_par.results.simulate import simulate

@@ -111,12 +111,12 @@ FAULTS = [
           "self.area * self.line.arm",
           "history/test_sloping_faces.py::test_torque_and_energy_are_those_of_the_true_area"),
     # numbers and files of results
-    Fault("mass by the body's density", "results/laboratory_numbers.py",
-          "volume * densities[body], 0.0)", "volume * densities[body][..., -1:], 0.0)",
+    Fault("mass by the body's density", "results/key_numbers.py",
+          "volume * density, 0.0)", "volume * density[..., -1:], 0.0)",
           "results/test_layer_results.py::test_the_mass_lost_is_that_of_each_layer"),
-    Fault("unit of p V", "results/laboratory_numbers.py", "= 1e-3 * force",
+    Fault("unit of p V", "results/key_numbers.py", "= 1e-3 * force",
           "= 1e-6 * force", "results/test_laboratory_numbers.py"),
-    Fault("sliding distance of schedules", "results/laboratory_numbers.py",
+    Fault("sliding distance of schedules", "results/key_numbers.py",
           "integral(omega, 0.0, time)", "in_time(omega, time) * time",
           "results/test_laboratory_numbers.py"),
     Fault("masses in units", "cases/units.py", "of_mass = -3.0 if time else 3.0", "of_mass = 3.0",
@@ -128,8 +128,8 @@ FAULTS = [
           """parts = _parts(checkpoint.start)
     parts |= {n: 0.0 * v for n, v in parts.items() if n.startswith("warm.")}""",
           "results/test_restart.py::test_a_longer_run_has_all_numbers_and_counts"),
-    Fault("edges stored backwards", "results/files.py", "yield place, item",
-          'yield place, item[::-1] if name == "edges" else item',
+    Fault("edges stored backwards", "results/files.py", "else item[()]",
+          'else item[::-1] if name == "edges" else item[()]',
           "results/test_result.py::test_saved_and_opened_it_is_the_same"),
     # sweeps
     Fault("merging permutes cases", "studies/results_file.py",

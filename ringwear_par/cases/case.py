@@ -124,8 +124,7 @@ class Load:
 class Stepping:
     """Time steps: ``steps`` of length ``step`` (s), or adaptive ones until ``until`` (s).
 
-    ``tolerance`` (mm) is the largest error of wear of an adaptive step, ``pressure_tolerance`` that
-    of pressure over the mean pressure.
+    ``tolerance`` (mm) is the largest error of wear of a history by adaptive steps.
     """
 
     scheme: str
@@ -133,7 +132,6 @@ class Stepping:
     steps: int = 0
     until: float = 0.0
     tolerance: float = 1e-5
-    pressure_tolerance: float = 0.1
 
     @property
     def adaptive(self) -> bool:
@@ -326,15 +324,6 @@ class Case:
     def follows_wear(self) -> bool:
         """Whether elements follow the worn profile."""
         return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)
-
-    @property
-    def wear_tolerance(self) -> float:
-        """Largest estimated error of wear to which adaptive steps are held, mm.
-
-        Half of ``time.tolerance`` with layers: estimates do not have all errors of crossings.
-        """
-        layered = any(ring.layers for ring in self.rings)
-        return 0.5 * self.time.tolerance if layered else self.time.tolerance
 
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:

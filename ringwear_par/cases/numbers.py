@@ -33,7 +33,6 @@ _PLACES = {
     "load.omega": ("load", "omega"),
     "time.end": ("time", "until"),
     "time.tolerance": ("time", "tolerance"),
-    "time.pressure_tolerance": ("time", "pressure_tolerance"),
     **{
         path: (f"wear_{path.split('.')[1]}", path.split(".")[2])
         for path, key in BY_PATH.items()

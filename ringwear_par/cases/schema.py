@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
-from importlib import import_module
 from typing import Any, NamedTuple
 
 from ringwear_par.cases.tables import Key
@@ -36,75 +35,39 @@ from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.laws import LAWS, Kind, Parameter
 
 
-@cache
-def import_named(name: str) -> Any:
-    """Return the function or class of a name in these tables: its module is loaded when needed."""
-    module, _, attribute = name.partition(":")
-    return getattr(import_module(f"ringwear_par.{module}"), attribute)
-
-
 class Scheme(NamedTuple):
-    """A value of ``time.scheme``."""
+    """A value of ``time.scheme``, whose steps ``history/schemes.py`` makes."""
 
     meaning: str
-    #: module and function that makes a step, see ``history/schemes/step.py``
-    step: str
-    #: module and class that controls the lengths of steps, see ``history/step_control.py``
-    control: str
-    #: whether the control chooses the lengths by tolerances, to ``time.end``
-    adaptive: bool
-    #: module and function that makes a step to a time of output within one, without estimates of
-    #: errors; "": the same
-    within: str = ""
-    #: whether its steps are stable only up to ``stable_steps``, of ``history/refusals``
+    #: whether lengths of steps are chosen by a tolerance, to ``time.end``
+    adaptive: bool = False
+    #: whether steps are stable only up to a length
     explicit: bool = False
 
 
 SCHEMES = {
-    "implicit": Scheme(
-        "backward Euler inside the contact problem",
-        "history.schemes.euler:backward",
-        "history.step_control:FixedSteps",
-        adaptive=False,
-    ),
-    "explicit": Scheme(
-        "forward Euler, equation (6) of the paper",
-        "history.schemes.euler:forward",
-        "history.step_control:FixedSteps",
-        adaptive=False,
-        explicit=True,
-    ),
-    "adaptive": Scheme(
-        "second order, steps chosen by time.tolerance",
-        "history.schemes.sdirk2:step",
-        "history.step_control:ErrorControl",
-        adaptive=True,
-        within="history.schemes.sdirk2:step_within",
-    ),
+    "implicit": Scheme("backward Euler inside the contact problem"),
+    "explicit": Scheme("forward Euler, equation (6) of the paper", explicit=True),
+    "adaptive": Scheme("second order, steps chosen by time.tolerance", adaptive=True),
 }
 _FIXED = ", ".join(name for name, scheme in SCHEMES.items() if not scheme.adaptive)
 
 
 class StopCriterion(NamedTuple):
-    """A key of [stop]: a quantity that grows to a limit, at which a history ends."""
+    """A key of [stop]: a quantity that grows to a limit, at which a history ends.
+
+    ``history/loop.py`` has the quantities.
+    """
 
     unit: str
     meaning: str
-    #: module and function that returns the quantity of a state, see ``history/stop_criteria.py``
-    function: str
 
 
 STOP_CRITERIA = {
-    "penetration": StopCriterion("mm", "penetration depth", "history.stop_criteria:penetration"),
-    "wear_lower": StopCriterion(
-        "mm", "largest depth worn off lower", "history.stop_criteria:wear_lower"
-    ),
-    "wear_upper": StopCriterion(
-        "mm", "largest depth worn off upper", "history.stop_criteria:wear_upper"
-    ),
-    "energy": StopCriterion(
-        "N mm", "energy dissipated by friction", "history.stop_criteria:energy"
-    ),
+    "penetration": StopCriterion("mm", "penetration depth"),
+    "wear_lower": StopCriterion("mm", "largest depth worn off lower"),
+    "wear_upper": StopCriterion("mm", "largest depth worn off upper"),
+    "energy": StopCriterion("N mm", "energy dissipated by friction"),
 }
 
 #: most layers of a body, and most points of a grid along r or z
@@ -253,11 +216,6 @@ KEYS: tuple[Key, ...] = (
         "largest estimated error that adaptive steps make in the wear depth of both bodies "
         "together, over the whole history, with layers half of it; without the errors of the mesh "
         "and of elements that come into contact", 1e-5,
-    ),
-    Key(
-        "time.pressure_tolerance", *number(0.0), "1",
-        "largest estimated error that one adaptive step makes in the pressure of an element, "
-        "divided by the mean pressure in contact", 0.1,
     ),
     *(
         Key(

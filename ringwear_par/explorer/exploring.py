@@ -14,8 +14,8 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.explorer.controls import Control, controls_of
 from ringwear_par.explorer.moved_keys import changed_keys
 from ringwear_par.files.text import toml_text
-from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import operator_key
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.history.snapshots import Snapshot

@@ -1,126 +1,241 @@
-"""The time loop, section 3 of the paper, of B >= 1 histories on one contact pair.
+"""The time loop, section 3 of the paper: a block of histories advanced together to their ends.
 
-``pressure[n]``, ``approach[n]``... are the contact solution with the profile worn up to
-``time[n]``, for every scheme.
-
-Each round every history of a batch tries a step as long as its control says. One whose try is
-rejected tries a shorter step in the next round, while the others go on. A history ends where its
-step control says that it is finished, or where it reaches a limit of its case (``stop_criteria``);
-an observer interrupts all of them. Digits of a history do not depend on the others. One whose step
-cannot be made goes on alone, or fails with the reason.
+``pressure``, ``approach``... of a state are the contact solution with the profile worn up to its
+time, for every scheme. Each round every history tries a step; one whose try is rejected tries a
+shorter one in the next round, while the others go on. What fails is a mask, with reasons.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import SCHEMES, import_named
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.history.batch import Batch
-from ringwear_par.history.ensemble import Ensemble, Method
-from ringwear_par.history.snapshots import Observer
-from ringwear_par.history.state import Start
-from ringwear_par.history.step_control import step_times_of
-from ringwear_par.history.stop_criteria import have_reached, stop_limits
+from ringwear_par.history.elastic import assemble
+from ringwear_par.options import contact_solver
+from ringwear_par.batched import choose, take
+from ringwear_par.contact.block import BlockSolver
+from ringwear_par.contact.tao import TaoContact
+from ringwear_par.history.block import Block
+from ringwear_par.history.control import first_length, judge, next_ends, step_error, step_share
+from ringwear_par.history.failures import (
+    contact_failure,
+    deep_wear_failure,
+    forget_faults,
+    interpenetration,
+    step_failure,
+)
+from ringwear_par.history.following import Following
+from ringwear_par.history.layers import enter_layers
+from ringwear_par.history.schemes import Scheme, Solver, explicit, implicit, sdirk2, start
+from ringwear_par.history.state import State
+from ringwear_par.parallel import as_on_first_rank
+
+#: error of gaps in contact, over the tolerance of wear
+_GAP = 0.2
+#: share of the histories that have ended and yet step along
+_IDLE = 0.125
+#: fewest elements of which ranks share the contact of one history
+_SHARED = 512
+#: schemes by their name in cases
+_SCHEMES: Mapping[str, Scheme] = {"adaptive": sdirk2, "implicit": implicit, "explicit": explicit}
 
 
-class Outcome(NamedTuple):
-    """How histories ended."""
-
-    #: why, of those that failed, by number
-    failures: dict[int, Exception]
-    #: whether an observer ended all of them before their ends
-    interrupted: bool
+def _deepest(block: Block, state: State, body: int) -> FloatArray:
+    return block.both(state.wear)[body].max(axis=1)
 
 
-def method_of(scheme: str) -> Method:
-    """Return how histories of a ``time.scheme`` step: what its line in ``SCHEMES`` names, loaded.
+#: quantities of which a limit ends histories, (B,): the keys of [stop] in a case
+STOP: Mapping[str, Callable[[Block, State], FloatArray]] = {
+    "penetration": lambda block, state: state.approach - state.first_approach,
+    "wear_lower": lambda block, state: _deepest(block, state, 0),
+    "wear_upper": lambda block, state: _deepest(block, state, 1),
+    "energy": lambda block, state: state.energy,
+}
 
-    All ask here for it, so that tests can have histories step in another way.
-    """
-    names = SCHEMES[scheme]
-    functions = names.step, names.control, names.within or names.step
-    return Method(*map(import_named, functions))
+
+@dataclass(frozen=True)
+class Instant:
+    """New states of some histories of a block, each at a time of its own."""
+
+    #: of these histories, and their states
+    block: Block
+    state: State
+    #: (B,) whether their cases store them, and whether they are the last ones
+    stored: BoolArray
+    ended: BoolArray
+    #: of elements that follow the wear
+    following: Following | None = None
+
+
+#: takes new states, and says whether to stop all histories there
+Save = Callable[[Instant], bool | None]
 
 
 def simulate(
-    cases: Sequence[Case],
-    comm: MPI.Comm,
+    block: Block,
+    save: Save,
     *,
-    pair: ContactPair | Sequence[ContactPair] | None = None,
-    start: Start | None = None,
-    observers: Sequence[Observer] = (),
-    step_times: Sequence[Sequence[float]] | None = None,
-    paces: Sequence[FloatArray] | None = None,
-) -> Outcome:
-    """Step wear histories from their starts to their ends, or until an observer interrupts all.
+    solver: Solver | None = None,
+    first: State | None = None,
+    following: Following | None = None,
+    every: bool = False,
+    comm: MPI.Comm = MPI.COMM_SELF,
+) -> dict[int, Exception]:
+    """Advance all histories to their ends; return why some failed, by number.
 
-    Collective on comm.
+    Collective on comm, the same on all ranks.
 
     Parameters
     ----------
-    cases : one, or several of one ``lockstep.batch_key``.
-    comm : communicator; histories are the same on all ranks.
-    pair : contact pair of the cases, or one of each on the same contact elements; None: assembled
-        first.
-    start : where an interrupted history continues, of one case.
-    observers : called with all new states, in this order.
-    step_times : s, ends of the steps of each history, its last one that of its case; None: each
-        steps as its case says.
-    paces : (2, steps) each, with ``step_times``, factors on the rates of wear of lower and upper
-        in each of these steps: wear that is random; None: 1.
-
-    Raises
-    ------
-    ValueError : steps that are given do not increase to the ends of the cases.
+    save : is called with the states that are stored; with ``every`` after each step.
+    solver : of the contacts; None: a ``BlockSolver``.
+    first : where an interrupted history continues; None: they start.
+    following : elements that follow the wear, of a block of one.
     """
-    for times, case in () if step_times is None else zip(step_times, cases, strict=True):
-        step_times_of(times, case)
-    ensemble = Ensemble(
-        cases, comm, pair, start, observers, step_times, paces,
-        method_of(cases[0].time.scheme),
-    )  # fmt: skip
-    batches = [Batch(ensemble, np.arange(len(cases)))]
-    try:
-        while batches and not ensemble.interrupted:
-            # the last batch makes a round, alone: what goes on of it, in one or more parts, is last
-            batches += batches.pop().advance()
-    finally:
-        for batch in batches:
-            batch.close()
-    return Outcome(ensemble.failures, ensemble.interrupted)
+    case = block.cases.every[0]
+    scheme = _SCHEMES[case.time.scheme]
+    share = step_share(block) if case.time.adaptive and block.paces is None else None
+    solver = solver or BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
+    forget_faults(block)
+    failures: dict[int, Exception] = {}
+    if first is None:
+        state, lost = start(block, solver)
+        state = replace(state, length=first_length(block, state, share))
+        off = interpenetration(block, solver)
+        failures |= off | {i: contact_failure(block, i) for i in np.flatnonzero(lost).tolist()}
+        going = np.array([i not in failures for i in range(len(block))])
+        if going.any() and save(_instant(block, state, going, going, ~going, following)):
+            return failures
+    else:
+        state, going = first, np.ones(len(block), bool)
+    limit = (block.limits <= state.time[:, None]).sum(axis=1)
+    going &= limit < block.limits.shape[1]
+    limit = np.minimum(limit, block.limits.shape[1] - 1)
+    order = 3 if scheme is sdirk2 else 2
+    while going.any():
+        if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
+            rows = np.flatnonzero(going)
+            block, solver, state, limit, going = take((block, solver, state, limit, going), rows)
+        if following is not None:
+            assert isinstance(solver, TaoContact)
+            block, solver, state = following.follow(block, solver, state)
+            if share is not None:
+                state = replace(state, length=_meshed_length(block, state))
+        end, is_cut = as_on_first_rank(comm, next_ends(block, state, limit, going))
+        pace = None if block.paces is None else block.paces[:, np.arange(len(block)), limit]
+        step = scheme(block, solver, state, end, pace)
+        if block.layered:
+            step = enter_layers(block, state, step)
+        verdict = judge(block, state, step, share, is_cut, going, order)
+        # ranks may differ by round-off, or by their processor: the first decides
+        accepted, stuck, length = as_on_first_rank(comm, verdict)
+        state = _after(block, state, step.state, accepted, step_error(block, step, share))
+        state = replace(state, length=length, interface=np.where(going, step.interface, np.inf))
+        off = accepted & _is_off(block, state)
+        for row in np.flatnonzero(stuck & going).tolist():
+            failures[int(block.number[row])] = step_failure(block, state, step, row, share)
+        for row in np.flatnonzero(off).tolist():
+            failures[int(block.number[row])] = deep_wear_failure(block, state, row)
+        passed = accepted & (state.time >= block.limits[np.arange(len(block)), limit])
+        done = accepted if share is not None else passed
+        state = replace(state, steps=state.steps + done)
+        ended = accepted & (state.time >= block.limits[:, -1])
+        for name, most in block.stop.items():
+            ended |= done & (STOP[name](block, state) >= most)
+        ended &= ~off
+        stored = ended | (passed & block.stored[np.arange(len(block)), limit])
+        by_steps = block.every > 0
+        if by_steps.any():
+            stored |= done & by_steps & (state.steps % np.maximum(block.every, 1) == 0)
+        stored &= ~off
+        going = going & ~(ended | stuck | off)
+        new = (done if every else stored) & ~off
+        if new.any() and save(_instant(block, state, new, stored, ended, following)):
+            break
+        limit = limit + (passed & going)
+    return failures
 
 
 def simulate_one(
     case: Case,
     comm: MPI.Comm,
+    save: Save,
     *,
     pair: ContactPair | None = None,
-    start: Start | None = None,
-    observers: Sequence[Observer] = (),
-    step_times: Sequence[float] | None = None,
+    first: State | None = None,
+    every: bool = False,
 ) -> None:
-    """Step one wear history, see ``simulate``. Collective on comm.
+    """Advance one history to its end, see ``simulate``: its contacts are solved by TAO.
+
+    Collective on comm, the same on all ranks.
+
+    Parameters
+    ----------
+    pair : contact pair of the case; None: it is assembled.
 
     Raises
     ------
     ComputationError : a step could not be made; it is named with its time.
     UnfitError : the case's own numbers do not go together, as its first contact shows.
     """
-    outcome = simulate(
-        [case], comm, pair=pair, start=start, observers=observers,
-        step_times=None if step_times is None else [step_times],
-    )  # fmt: skip
-    for error in outcome.failures.values():
+    following = Following(case, comm) if case.follows_wear else None
+    if pair is None:
+        pair = assemble(case, comm) if following is None else following.pair
+    block = Block.of([case], [pair])
+    if block.is_local and following is None and contact_solver() == "block":
+        failures = simulate(block, save, first=first, every=every, comm=comm)
+    else:
+        # rows of small systems are not worth messages
+        own = comm if case.line.n >= _SHARED else MPI.COMM_SELF
+        with TaoContact(block.compliance, block.by_force, own) as solver:
+            failures = simulate(
+                block, save, solver=solver, first=first, following=following, every=every,
+                comm=comm,
+            )  # fmt: skip
+    for error in failures.values():
         raise error
 
 
-def is_at_end(case: Case, start: Start) -> bool:
-    """Tell whether a history that continues has come to the end of its case."""
-    control = method_of(case.time.scheme).control.of([case], None)
-    stopped = have_reached(stop_limits([case]), start.state)
-    return bool(control.finished(start.state, start.progress)[0] or stopped[0])
+def _after(
+    block: Block, before: State, after: State, accepted: BoolArray, error: FloatArray
+) -> State:
+    """Return the states after a round, in which some steps were accepted."""
+    tried = after.iterations  # those of rejected tries count, too
+    after = replace(after, error=np.maximum(before.error, error * block.tolerance))
+    state = after if accepted.all() else choose(accepted, after, before)
+    return replace(state, iterations=tried)
+
+
+def _meshed_length(block: Block, state: State) -> FloatArray:
+    """Return the lengths of tries that wear about the tolerance of the geometry at most."""
+    most = block.cases.every[0].mesh.geometry_tolerance
+    fastest = state.rates.max(axis=(0, 2), initial=0.0)
+    with np.errstate(divide="ignore"):
+        return np.minimum(state.length, most / fastest)
+
+
+def _is_off(block: Block, state: State) -> BoolArray:
+    """Return whether too much is worn off, or contact has reached an end that is no edge, (B,)."""
+    off = (block.deepest < state.wear.max(axis=2, initial=0.0).T).any(axis=1)
+    for element in block.open_ends:
+        off |= state.pressure[:, element] > 0.0
+    return off
+
+
+def _instant(
+    block: Block,
+    state: State,
+    new: BoolArray,
+    stored: BoolArray,
+    ended: BoolArray,
+    following: Following | None,
+) -> Instant:
+    """Return the new states of a block."""
+    if new.all():
+        return Instant(block, state, stored, ended, following)
+    rows = np.flatnonzero(new)
+    return Instant(*take((block, state, stored, ended), rows), following)

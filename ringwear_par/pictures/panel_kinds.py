@@ -21,7 +21,7 @@ from ringwear_par.pictures.stresses import (
     largest,
 )
 from ringwear_par.results.export import boundary_states
-from ringwear_par.results.layers import check_grid, interfaces_of, nearest_states, stresses
+from ringwear_par.results.fields import check_grid, interfaces_of, nearest_states, stresses
 from ringwear_par.results.result import Result
 
 #: a panel, or a function that draws what matplotlib alone draws

@@ -12,8 +12,13 @@ from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
-from ringwear_par.results.key_numbers import number_words, time_unit, time_words
-from ringwear_par.results.laboratory_numbers import laboratory_numbers, schedule_of
+from ringwear_par.results.key_numbers import (
+    laboratory_numbers,
+    number_words,
+    schedule_of,
+    time_unit,
+    time_words,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time

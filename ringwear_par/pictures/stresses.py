@@ -16,8 +16,8 @@ from ringwear_par.pictures.panel import FEW_POINTS, Axis, Band, Curve, Label, Pa
 from ringwear_par.pictures.run_panels import RADIUS, stage_styles
 from ringwear_par.pictures.sections import magnification
 from ringwear_par.pictures.style import CASING, COLOURS
+from ringwear_par.results.fields import Interface, interfaces_of, stresses
 from ringwear_par.results.key_numbers import time_unit, time_words
-from ringwear_par.results.layers import Interface, interfaces_of, stresses
 from ringwear_par.results.result import Result
 
 #: colours of a map, numbers beside its scale, and the share of its values that the scale covers:

@@ -104,8 +104,6 @@ def _test(case: Case) -> list[tuple[str, str]]:
     if time.adaptive:
         steps = f"{end} in adaptive steps of a tolerance of {1e3 * time.tolerance:g} "
         steps += "\N{MICRO SIGN}m of wear"
-        if case.wear_tolerance < time.tolerance:
-            steps += ", of which they use half as there are layers"
     return [
         ("friction coefficient", quantity_text(case.friction)),
         ("load", pressing(case)), ("speed", speed),

@@ -1,4 +1,4 @@
-"""Attributes of a result: its case, laws, layers and sliding."""
+"""Attributes of a result: its case, laws, densities and sliding."""
 
 import json
 from typing import Any
@@ -10,13 +10,20 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.results.variables import TIMES_THROUGH
-from ringwear_par.schedules import Table, in_time, integral, mean, points_of
+from ringwear_par.schedules import Table, in_time, mean, points_of
 from ringwear_par.version import versions
 
 
 def case_attributes(case: Case, time: float) -> dict[str, Any]:
     """Return the attributes of a case whose history has come to a time (s). Not collective."""
-    density = {"density_lower": case.lower.density, "density_upper": case.upper.density}
+    density: dict[str, Any] = {}
+    for body, ring in zip(BODIES, case.rings, strict=True):  # g/mm3, or NaN
+        if ring.density is not None:
+            density[f"density_{body}"] = ring.density
+        layers = [layer.density for layer in ring.layers]
+        if any(value is not None for value in layers):
+            values = (np.nan if value is None else value for value in layers)
+            density[f"density_{body}_layers"] = tuple(values)
     return {
         "case": case.stored_text,
         "title": case.title,
@@ -35,8 +42,7 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "nominal_area": case.area,  # mm2
         "mean_radius": case.mean_radius,  # mm
         "omega": in_time(case.load.omega, time),  # rad/s
-        "angle": integral(case.load.omega, 0.0, time),  # rad
-        **{name: value for name, value in density.items() if value is not None},
+        **density,
         **{
             f"face_{body}": section.face_description
             for body, section in zip(BODIES, case.sections, strict=True)
@@ -47,30 +53,11 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
             f"law_{body}": "" if law is None else law.describe()
             for body, law in zip(BODIES, case.laws, strict=True)
         },
-        **_layer_attributes(case),
         # whether worn volume is a constant times the friction energy, by layer, of a body
         "energy_identity": int(
             any(all(law.ratios(case.friction)) for law in case.laws if law is not None)
         ),
     }
-
-
-def _layer_attributes(case: Case) -> dict[str, Any]:
-    """Return the layers in words, and densities (g/mm3, or NaN) where some are known."""
-    attributes: dict[str, Any] = {}
-    for body, ring in zip(BODIES, case.rings, strict=True):
-        if ring.layers:
-            attributes[f"layers_{body}"] = ", then ".join(
-                f"{1e3 * layer.thickness:.6g} um of E = {layer.young:.6g} MPa, "
-                f"nu = {layer.poisson:.6g}"
-                + ("" if layer.density is None else f", {layer.density:.6g} g/mm3")
-                for layer in ring.layers
-            )
-            if any(layer.density is not None for layer in ring.layers):
-                attributes[f"density_{body}_layers"] = tuple(
-                    np.nan if layer.density is None else layer.density for layer in ring.layers
-                )
-    return attributes
 
 
 def times_through(case: Case, through: FloatArray) -> dict[str, FloatArray]:

@@ -1,20 +1,23 @@
 """``ringwear export`` of runs: for ParaView (.vtkhdf) and for spreadsheets (.csv, .xlsx)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import BoundaryState
+from ringwear_par.elasticity.stress.fields import COMPONENTS, BoundaryState, max_shear, mises
 from ringwear_par.errors import InputError
 from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results.files import result_of
+from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
-from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import VARIABLES, Variable
-from ringwear_par.results.vtkhdf import boundary_cells, stress_cells, write_vtkhdf
 
 if TYPE_CHECKING:
     import xarray
@@ -35,6 +38,8 @@ _TABLES = {
         for body in BODIES
     },
 }  # fmt: skip
+#: VTK's numbers of a line through several points, and of a quadrangle
+_LINE, _QUADRANGLE = 4, 9
 
 
 def export(run: Result | str | Path, output: Path) -> str:
@@ -63,16 +68,17 @@ def export(run: Result | str | Path, output: Path) -> str:
         write_csv(output, _table(result.to_xarray(), "histories"))
         return f"{output}: histories"
     if "stress_grid" in result.data and not result.boundary:
-        what, times, cells = "stress", result.data["stress_time"], stress_cells(result.data)
+        what, times, cells = "stress", result.data["stress_time"], _stress_cells(result.data)
     else:
-        times = [state.time for state in boundary_states(result)]
-        what, cells = "both bodies", boundary_cells(result.data)
+        states = boundary_states(result)
+        what, times = "both bodies", [state.time for state in states]
+        cells = _boundary_cells(states)
     if not len(cells.cells):
         raise InputError(
             f"{result.name}: nothing of stress.grid is left at the stored times: wear has gone "
             "through it; must reach deeper, or stress.times be earlier"
         )
-    write_vtkhdf(output, times, cells)
+    _write_vtkhdf(output, times, cells)
     return f"{output}: {what}, {len(times)} states from {times[0]:g} to {times[-1]:g} s"
 
 
@@ -93,7 +99,7 @@ def _table(data: "xarray.Dataset", name: str) -> Table:
     import xarray
 
     axes, columns = _TABLES[name], {}
-    for variable in (data[n] for n in (*VARIABLES, *LABORATORY_NUMBERS) if n in data.data_vars):
+    for variable in (data[n] for n in VARIABLES if n in data.data_vars):
         if variable.dims == axes:
             columns[str(variable.name)] = variable
         elif variable.dims[:-1] == axes and variable.dims[-1] in _COLUMNS:
@@ -131,3 +137,108 @@ def titled(variable: Variable) -> str:
 
 def _titled(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
+
+
+# -- for ParaView ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What a VTK file holds at t times: points, cells, fields on both."""
+
+    #: (t, m, 3) float, mm
+    points: FloatArray
+    #: (c, q) int, points of each cell, the same at all times
+    cells: IntArray
+    #: by name, (t, m) or (t, m, 3), and (t, c) or (t, c, 3)
+    point_data: dict[str, Any]
+    cell_data: dict[str, Any]
+
+
+def _write_vtkhdf(output: Path, times: Sequence[float], content: Cells) -> None:
+    """Write cells at several times, s, by rename, as VTKHDF 2.0, which ParaView 5.12 reads.
+
+    Raises
+    ------
+    OSError : the file.
+    """
+    (count, points, _), (cells, corners) = content.points.shape, content.cells.shape
+    numbers = np.arange(count, dtype=np.int64)
+    with atomic_hdf5(output) as file:
+        root = file.create_group("VTKHDF")
+        root.attrs["Version"] = np.array([2, 0])
+        root.attrs.create("Type", b"UnstructuredGrid", dtype="S16")
+        for name, size in (
+            ("NumberOfPoints", points),
+            ("NumberOfCells", cells),
+            ("NumberOfConnectivityIds", cells * corners),
+        ):
+            root[name] = np.array([size], dtype=np.int64)
+        # one part, whose cells serve at all times
+        root["Connectivity"] = content.cells.ravel().astype(np.int64)
+        root["Offsets"] = corners * np.arange(cells + 1, dtype=np.int64)
+        root["Types"] = np.full(cells, _QUADRANGLE if corners == 4 else _LINE, dtype=np.uint8)
+        root["Points"] = content.points.reshape(-1, 3)
+        steps = root.create_group("Steps")
+        steps.attrs["NSteps"] = np.int64(count)
+        steps["Values"] = np.array(times, dtype=np.float64)
+        steps["PartOffsets"] = np.zeros(count, dtype=np.int64)
+        steps["NumberOfParts"] = np.ones(count, dtype=np.int64)
+        steps["PointOffsets"] = points * numbers
+        steps["CellOffsets"] = np.zeros((count, 1), dtype=np.int64)
+        steps["ConnectivityIdOffsets"] = np.zeros((count, 1), dtype=np.int64)
+        for group, size, fields in (
+            ("PointData", points, content.point_data),
+            ("CellData", cells, content.cell_data),
+        ):
+            data, offsets = root.create_group(group), steps.create_group(f"{group}Offsets")
+            for name, values in fields.items():
+                data[name] = values.reshape(count * size, *values.shape[2:])
+                offsets[name] = size * numbers
+
+
+def _boundary_cells(states: Sequence[BoundaryState]) -> Cells:
+    """Return the contours of both bodies in the plane y = 0, along which theta points.
+
+    An element is a line of three points.
+    """
+
+    def joined(name: str, columns: Sequence[int] | None = None) -> Any:
+        """Return an array of both bodies, (t, m or c, ...)."""
+        values = [
+            np.concatenate([getattr(body, name) for body in state.bodies]) for state in states
+        ]
+        return np.array(values) if columns is None else np.array(values)[..., columns]
+
+    bodies = states[0].bodies
+    cells = np.concatenate([bodies[0].elements, bodies[1].elements + len(bodies[0].nodes)])
+    number = np.repeat([0, 1], [len(body.elements) for body in bodies])
+    nodes, xyz = joined("nodes"), (0, 2, 1)
+    points = np.stack([nodes[..., 0], np.zeros(nodes.shape[:2]), nodes[..., 1]], axis=-1)
+    of_cells = {name: joined(name) for name in ("pressure", "wear", "face")}
+    of_cells |= {"traction": joined("traction", xyz), "body": np.tile(number, (len(states), 1))}
+    return Cells(points, cells, {"displacement": joined("displacement", xyz)}, of_cells)
+
+
+def _stress_cells(data: Mapping[str, Any]) -> Cells:
+    """Return the grid of stresses in the plane y = 0.
+
+    A quadrangle joins four points that at least one state has; states lose points where wear has
+    taken the body or the layer away.
+
+    Parameters
+    ----------
+    data : of a result with ``stress_grid``.
+    """
+    stress = data["stress_grid"]
+    present = np.isfinite(stress).all(axis=-1).any(axis=0)
+    number = np.where(present, np.cumsum(present).reshape(present.shape) - 1, -1)
+    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    cells = np.stack([corner.ravel() for corner in corners], axis=1)
+    cells = cells[(cells >= 0).all(axis=1)]
+    r, z = np.meshgrid(data["grid_r"], data["grid_z"], indexing="ij")
+    points = np.stack([r[present], np.zeros(np.count_nonzero(present)), z[present]], axis=1)
+    values = stress[:, present]
+    named = {f"stress_{name}": values[..., i] for i, name in enumerate(COMPONENTS)}
+    named |= {"mises": mises(values), "max_shear": max_shear(values)}
+    return Cells(np.tile(points, (len(stress), 1, 1)), cells, named, {})

@@ -1,7 +1,7 @@
-"""Stresses and fields on whole boundaries as arrays by name, for files, and back again."""
+"""Stresses and fields on whole boundaries: as arrays by name, and what a result has of them."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from ringwear_par.elasticity.stress.fields import (
     mises,
     principal,
 )
+from ringwear_par.errors import InputError
+from ringwear_par.results.result import Result
 from ringwear_par.results.variables import (
     LARGEST_STRESS,
     LAYER_STRESS,
@@ -26,15 +28,8 @@ from ringwear_par.results.variables import (
     POINT_STRESS,
 )
 
-_AXES = ("r", "z", "theta")
-#: arrays of ``BoundaryFields``, and the variables of their columns
-_COLUMNS = {
-    "nodes": _AXES[:2],
-    "displacement": tuple(f"displacement_{axis}" for axis in _AXES),
-    "traction": tuple(f"traction_{axis}" for axis in _AXES),
-    "pressure": ("pressure",),
-    "wear": ("wear",),
-}
+#: components of places, the first two, and of vectors
+DIRECTIONS = ("r", "z", "theta")
 #: ends of the names of the numbers of a ``Largest``
 _LARGEST = {"": "mises", "_r": "r", "_z": "z", "_layer": "layer"}
 #: arrays of a ``StressState`` by the name of its field, the later ones of each body
@@ -133,21 +128,16 @@ def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArr
     ----------
     times : (rows,) float, s, of all stored states.
     """
-    states, rows = history.states, np.searchsorted(times, [state.time for state in history.states])
-    largest = [state.of_both for state in states]
-    values: dict[str, tuple[tuple[int, ...], Sequence[Any]]] = {
-        name: ((), [getattr(entry, number) for entry in largest])
-        for name, number in zip(LARGEST_STRESS, _LARGEST.values(), strict=True)
-    }
-    for i, (name, size) in enumerate(zip(LAYER_STRESS, history.layers, strict=True)):
-        if size:
-            values[name] = (size,), [state.layers[i] for state in states]
-    if points := len(history.points):
-        for name, measure in zip(POINT_STRESS, (mises, max_shear), strict=True):
-            values[name] = (points,), [measure(state.points) for state in states]
-    columns = {name: np.full((len(times), *shape), np.nan) for name, (shape, _) in values.items()}
-    for name, (shape, entries) in values.items():
-        columns[name][rows] = np.reshape(entries, (-1, *shape))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(LARGEST_STRESS, ())
+    shapes |= {n: (size,) for n, size in zip(LAYER_STRESS, history.layers, strict=True) if size}
+    if count := len(history.points):
+        shapes |= dict.fromkeys(POINT_STRESS, (count,))
+    columns = {name: np.full((len(times), *shape), np.nan) for name, shape in shapes.items()}
+    if data := stress_arrays(history):
+        data |= stress_measures(data)
+        rows = np.searchsorted(times, data["stress_time"])
+        for name, column in columns.items():
+            column[rows] = data[name]
     return columns
 
 
@@ -175,41 +165,111 @@ def side_words(numbers: FloatArray) -> Any:
 
 # -- boundaries ------------------------------------------------------------------------------------
 
+#: arrays of ``BoundaryFields`` that are the same at all states, and those that are not
+_MESH = ("elements", "face")
+_MOVING = ("nodes", "displacement", "traction", "pressure", "wear")
+
 
 def boundary_arrays(states: Sequence[BoundaryState]) -> dict[str, Any]:
     """Return the fields of stored states on both boundaries by name, nothing of no state."""
     data: dict[str, Any] = {}
     for i, body in enumerate(BODIES if states else ()):
-        fields, group = [state.bodies[i] for state in states], f"boundary/{body}"
-        data[f"{group}/time"] = np.array([state.time for state in states])
-        data[f"{group}/steps_made"] = np.array([state.step for state in states])
-        data[f"{group}/nodes"], data[f"{group}/face"] = fields[0].elements, fields[0].face
-        for attribute, names in _COLUMNS.items():
-            values = np.array([getattr(field, attribute) for field in fields])
-            columns = values.reshape(*values.shape[:2], len(names))
-            data |= {f"{group}/{name}": columns[..., j] for j, name in enumerate(names)}
+        bodies = [state.bodies[i] for state in states]
+        of_body = {name: getattr(bodies[0], name) for name in _MESH}
+        of_body |= {n: np.array([getattr(fields, n) for fields in bodies]) for n in _MOVING}
+        of_body["time"] = np.array([state.time for state in states])
+        of_body["steps_made"] = np.array([state.step for state in states])
+        data |= {f"boundary/{body}/{name}": values for name, values in of_body.items()}
     return data
 
 
 def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
     """Return the fields on boundaries of which these are the arrays, () where there are none."""
-    groups = [f"boundary/{body}" for body in BODIES]
-    if f"{groups[0]}/time" not in data:
+    if "boundary/lower/time" not in data:
         return ()
 
-    def of(group: str, t: int) -> BoundaryFields:
-        columns = {
-            attribute: np.stack([data[f"{group}/{name}"][t] for name in names], axis=-1)
-            for attribute, names in _COLUMNS.items()
-        }
-        return BoundaryFields(
-            columns["nodes"], data[f"{group}/nodes"], data[f"{group}/face"],
-            columns["displacement"], columns["traction"], columns["pressure"][:, 0],
-            columns["wear"][:, 0],
-        )  # fmt: skip
+    def of(body: str, t: int) -> BoundaryFields:
+        mesh = {name: data[f"boundary/{body}/{name}"] for name in _MESH}
+        return BoundaryFields(**mesh, **{n: data[f"boundary/{body}/{n}"][t] for n in _MOVING})
 
-    times, steps = (data[f"{groups[0]}/{name}"].tolist() for name in ("time", "steps_made"))
+    times, steps = (data[f"boundary/lower/{name}"].tolist() for name in ("time", "steps_made"))
     return tuple(
-        BoundaryState(step, time, (of(groups[0], t), of(groups[1], t)))
+        BoundaryState(step, time, (of("lower", t), of("upper", t)))
         for t, (step, time) in enumerate(zip(steps, times, strict=True))
     )
+
+
+# -- what a result has of them ---------------------------------------------------------------------
+
+
+def stresses(result: Result) -> StressHistory:
+    """Return the stored stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    if result.stress is None:
+        raise _lacks(result, "", "computed with [stress] in its case")
+    return result.stress
+
+
+def check_grid(result: Result) -> None:
+    """Refuse a result without stresses on a grid.
+
+    Raises
+    ------
+    InputError : there are none, or none on a grid.
+    """
+    if not len(stresses(result).grid[0]):
+        raise _lacks(result, " on a grid", "computed with stress.grid")
+
+
+def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
+    """Return the states nearest to times (s), the last one for none."""
+    stored = np.array([state.time for state in states])
+    rows = {int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1}
+    return [states[row] for row in sorted(rows)]
+
+
+class Interface(NamedTuple):
+    """An interface of a result's bodies."""
+
+    #: 0 for lower, 1 for upper
+    body: int
+    #: number of the layer over it, towards the contact
+    layer: int
+    #: (m,) float, mm, mid-points of its elements
+    r: FloatArray
+    #: mm, its height, unworn
+    z: float
+
+    @property
+    def name(self) -> str:
+        """What it is called in pictures."""
+        return f"under layer {self.layer} of {BODIES[self.body]}, z = {self.z:.6g} mm"
+
+    def stress(self, state: StressState) -> FloatArray:
+        """Return (2, m, 6) MPa, above and below."""
+        return state.interfaces[self.body][self.layer]
+
+
+def interfaces_of(result: Result) -> list[Interface]:
+    """Return the interfaces along which a result has stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    interfaces = [
+        Interface(body, layer, line.r, float(z))
+        for body, line in enumerate(stresses(result).interfaces)
+        for layer, z in enumerate(line.z)
+    ]
+    if not interfaces:
+        raise _lacks(result, " along interfaces", "of a body with layers")
+    return interfaces
+
+
+def _lacks(result: Result, where: str, must: str) -> InputError:
+    return InputError(f"{result.name}: holds no stresses{where}; must be {must}")

@@ -15,12 +15,11 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.writing import check_writable
+from ringwear_par.errors import InputError
 from ringwear_par.history.state import Start
 from ringwear_par.results import hdf5
-from ringwear_par.results.fields import stress_measures
-from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, laboratory_numbers
+from ringwear_par.results.fields import DIRECTIONS, stress_measures
+from ringwear_par.results.key_numbers import laboratory_numbers
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.variables import (
     COORDINATES,
@@ -31,6 +30,7 @@ from ringwear_par.results.variables import (
     UPPER_LAYER,
     VARIABLES,
     Variable,
+    axis,
     edge_elements,
     to_dataset,
 )
@@ -38,17 +38,13 @@ from ringwear_par.results.variables import (
 if TYPE_CHECKING:
     import xarray
 
-_KIND = "a result file of ringwear"
 #: coordinates that are texts
-_TEXTS = {"component": list(COMPONENTS), "side": list(SIDES)}
+_TEXTS = {
+    "component": [*COMPONENTS], "side": [*SIDES], "plane": [*DIRECTIONS[:2]],
+    "direction": [*DIRECTIONS],
+}  # fmt: skip
 #: place of the checkpoint
 _STATE = "checkpoint/state"
-#: what is computed from the data of a result when these are written
-_DERIVED = {
-    "r", "width", EDGE_ELEMENT.name, "principal", "interface_mises_lower", "interface_mises_upper",
-    *(f"{name}{place}" for name in ("mises", "max_shear") for place in ("", "_grid")),
-    *(f"max_mises{end}" for end in ("", "_r", "_z", "_layer")),
-}  # fmt: skip
 
 
 # -- a result as variables -------------------------------------------------------------------------
@@ -66,17 +62,15 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
     data = {**result.data, "r": result.line.r, "width": result.line.width}
     if "pressure" in data:
         data[EDGE_ELEMENT.name] = edge_elements(data["pressure"]).astype(EDGE_ELEMENT.dtype)
-    data |= stress_measures(data)
-    pairs = {name: (_variable(name, data), values) for name, values in data.items()}
-    numbers = laboratory_numbers(result)
-    pairs |= {name: (LABORATORY_NUMBERS[name], v) for name, v in numbers.items()}
+    data |= stress_measures(data) | laboratory_numbers(result)
+    pairs = {name: (_variable(name, data), data[name]) for name in VARIABLES if name in data}
     axes: dict[str, tuple[Variable, Any]] = {}
     for name, (variable, values) in pairs.items():
         group = name[: name.rfind("/") + 1]
         for dimension, size in zip(variable.dimensions, np.shape(values), strict=True):
-            place = f"{group}{dimension}"
-            numbered = _TEXTS.get(dimension, np.arange(size))
-            axes[place] = pairs.get(place, (VARIABLES[place], numbered))
+            place, entries = f"{group}{dimension}", _TEXTS.get(dimension, np.arange(size))
+            own = VARIABLES[place] if dimension in _TEXTS else axis(dimension)
+            axes[place] = pairs.get(place, (own, entries))
     return axes | pairs
 
 
@@ -120,7 +114,7 @@ def open_result(path: str | Path) -> Result:
     <Result: mine (run.h5): 64 contact elements, 201 states of 200 steps until 200 s, complete>
     """
     path = Path(path)
-    with hdf5.reading(path, SOFTWARE, _KIND) as file:
+    with hdf5.reading(path, SOFTWARE, "a result file of ringwear") as file:
         attributes = {
             name: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
             for name, value in file.attrs.items()
@@ -138,41 +132,17 @@ def result_of(source: Result | str | Path) -> Result:
     return source if isinstance(source, Result) else open_result(source)
 
 
-def _arrays(group: h5py.Group) -> Iterator[tuple[str, Any]]:
-    """Yield the data in a group by place."""
+def _arrays(group: h5py.Group, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the variables in a group by place, without axes that are only numbered."""
     for name, item in group.items():
-        place = f"{group.name}/{name}".lstrip("/")
+        place = f"{before}{name}"
         if isinstance(item, h5py.Group):
-            yield from _arrays(item)
-            continue
-        variable = VARIABLES.get(place)
-        if variable is None or place in _DERIVED or place in _TEXTS:
-            continue
-        if variable.dimensions == (name,) and variable.integer and place not in ("step", _STATE):
-            continue  # numbers an axis
-        yield place, item.asstr()[()].tolist() if item.dtype.kind == "O" else item[()]
+            yield from _arrays(item, f"{place}/")
+        elif place in VARIABLES and name not in _TEXTS:
+            yield place, item.asstr()[()].tolist() if item.dtype.kind == "O" else item[()]
 
 
 # -- writing ---------------------------------------------------------------------------------------
-
-
-def save(result: Result, path: str | Path) -> None:
-    """Write a result to a file. Not collective.
-
-    The process that calls this writes. Where several have the same result and write the same
-    file, it is whole at any time, and in the end that of one of them.
-
-    Raises
-    ------
-    InputError : a file that cannot be written.
-    ComputationError : the disk.
-    """
-    path = Path(path)
-    check_writable(path)
-    try:
-        write_result(path, result)
-    except OSError as error:
-        raise ComputationError(f"{path}: {error.strerror or error}") from error
 
 
 def write_result(path: Path, result: Result) -> None:
@@ -187,11 +157,11 @@ def write_result(path: Path, result: Result) -> None:
         variables[_STATE] = VARIABLES[_STATE], checkpoint_bytes(result.checkpoint)
     with hdf5.atomic_hdf5(path) as file:
         for name, (variable, values) in variables.items():
-            group, _, short = name.rpartition("/")
+            group = name.rpartition("/")[0]
             place = file.require_group(group) if group else file
-            hdf5.write_variable(place, variable.named(short), values)
-            if short == "time" and group:
-                place.attrs["coordinates"] = short
+            hdf5.write_variable(place, variable, values)
+            if group and variable.name == "time":
+                place.attrs["coordinates"] = "time"
         coordinates = " ".join(name for name in COORDINATES if name in variables)
         file.attrs.update(software=SOFTWARE, coordinates=coordinates, **result.attributes)
 
@@ -203,18 +173,23 @@ _WORST = "worst."
 
 
 def checkpoint_bytes(checkpoint: Checkpoint) -> IntArray:
-    """Return a checkpoint as the bytes of an .npz file: arrays of one history."""
+    """Return a checkpoint as the bytes of an .npy file: one record of a history's arrays."""
     parts = _parts(checkpoint.start)
     parts |= {f"{_WORST}{name}": values for name, values in checkpoint.worst.items()}
+    parts["pending_iterations"] = checkpoint.pending_iterations
+    arrays = {name: np.asarray(values) for name, values in parts.items()}
+    record = np.zeros((), [(name, array.dtype, array.shape) for name, array in arrays.items()])
+    for name, array in arrays.items():
+        record[name] = array
     contents = io.BytesIO()
-    np.savez(contents, pending_iterations=checkpoint.pending_iterations, **parts)
+    np.save(contents, record)
     return np.frombuffer(contents.getvalue(), dtype=np.uint8)
 
 
 def read_checkpoint(contents: IntArray) -> Checkpoint:
     """Return the checkpoint of these bytes; any exception means damage."""
-    with np.load(io.BytesIO(contents.tobytes()), allow_pickle=False) as file:
-        parts = {name: file[name] for name in file.files}
+    record = np.load(io.BytesIO(contents.tobytes()), allow_pickle=False)
+    parts = {name: record[name] for name in record.dtype.names}
     worst = {
         name.removeprefix(_WORST): tuple(values.tolist())
         for name, values in parts.items()

@@ -18,6 +18,9 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.variables import Variable
 
+#: bytes below which a variable is stored in one piece, which is quicker
+_ONE_CHUNK = 1e6
+
 
 class UnreadableError(InputError):
     """A file that cannot be read now: it may be whole."""
@@ -73,19 +76,18 @@ def atomic_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def write_variable(group: h5py.Group, variable: Variable, values: Any) -> None:
-    """Write a variable over dimensions that the group, or one that it is in, has already.
+    """Write a variable over dimensions that the group, or the whole file, has already.
 
     One that is named as its only dimension becomes that dimension.
     """
     array = np.asarray(values)
-    checked = array.dtype.kind in "iuf" and array.ndim > 0 and array.size > 0
-    dataset = group.create_dataset(variable.name, data=values, fletcher32=checked)
+    checked = array.dtype.kind in "iuf" and array.size > 0 < array.ndim
+    chunks = array.shape if checked and array.nbytes < _ONE_CHUNK else None
+    dataset = group.create_dataset(variable.name, data=values, fletcher32=checked, chunks=chunks)
     dataset.attrs.update(variable.attributes)
     if variable.dimensions == (variable.name,):
         dataset.make_scale(variable.name)
         return
     for axis, name in enumerate(variable.dimensions):
-        owner = group
-        while name not in owner and owner.name != "/":
-            owner = owner.parent
-        dataset.dims[axis].attach_scale(owner[name])
+        owner = group if name in group else group.file
+        h5py.h5ds.attach_scale(dataset.id, owner[name].id, axis)

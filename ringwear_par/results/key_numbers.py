@@ -1,36 +1,37 @@
-"""The key numbers of a run, one table, and how numbers and times are written."""
+"""Numbers of a run: those of laboratories at all stored states, and the key numbers at its end."""
 
+import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import share
-from ringwear_par.cases.case import density_keys
+from ringwear_par.arrays import FloatArray, share
+from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
-from ringwear_par.results.laboratory_numbers import (
-    densities_of,
-    laboratory_numbers,
-)
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
+from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, stack
 
+_HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
-_UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
+_UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", _HOUR), (np.inf, "days", 86400.0))
 #: numbers from which on texts have an exponent
 _LARGE = 1e6
-BALANCES = "largest relative errors of all steps"
-MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
-TIME_STEPS = "estimated error of wear depth from time steps"
 #: share of an approach below which differences of two of them are errors of contact solutions:
 #: where nothing wears they are up to 5e-8 on 16 elements, 4e-9 on 24
 _ROUND_OFF = 1e-7
 #: share of its depth within which wear has reached the end of a layer
 _ON = 1e-9
+#: groups of checks
+BALANCES = "largest relative errors of all steps"
+MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
+TIME_STEPS = "estimated error of wear depth from time steps"
 #: balances of results, with their groups and labels
 _CHECKED = {
     "residual": (BALANCES, "contact conditions (KKT)"),
@@ -56,6 +57,121 @@ def time_words(time: float, end: float) -> str:
     """Return a time, s, of a history in words; its end, s, chooses the unit."""
     unit, seconds = time_unit(end)
     return f"{number_words(time / seconds)} {unit}"
+
+
+# -- numbers of laboratories -----------------------------------------------------------------------
+
+
+def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
+    """Return the numbers of the stored states of a result (s,) by name; those that there are."""
+    about = result.attributes
+    densities = {body: densities_of(result, body) for body in BODIES if about[f"law_{body}"]}
+    area, radius = float(about["nominal_area"]), float(about["mean_radius"])
+    work, omega = _normal_work(result), schedule_of(about, "omega")
+    return _numbers(result.data, slice(None), work, omega, area, radius, densities)
+
+
+def end_numbers(
+    cases: Sequence[Case], columns: HistoryColumns, normal_work: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the numbers at the last stored states of B histories on one contact pair, (B,).
+
+    Parameters
+    ----------
+    cases : theirs.
+    columns : theirs, as stored.
+    normal_work : (B,) N mm, see ``_numbers``.
+    """
+    stored, last = np.diff(columns.offsets) > 0, columns.offsets[1:] - 1
+    if not stored.any():
+        return {}
+    densities = {
+        body: np.array([case.rings[i].densities for case in cases], dtype=float)
+        for i, body in enumerate(BODIES)
+        if any(case.laws[i] is not None for case in cases)
+    }
+    numbers = _numbers(
+        {**columns.histories, **columns.layers}, last, normal_work,
+        stack([case.load.omega for case in cases]), cases[0].area, cases[0].mean_radius, densities,
+    )  # fmt: skip
+    return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
+
+
+def _numbers(
+    data: Mapping[str, Any],
+    rows: Any,
+    normal_work: FloatArray,
+    omega: Quantity,
+    area: float,
+    radius: float,
+    densities: Mapping[BodyName, FloatArray],
+) -> dict[str, FloatArray]:
+    """Return the numbers of states (s,) of one history, or of the ends of several.
+
+    Parameters
+    ----------
+    data, rows : stored variables by name, and which of their rows are of these states.
+    normal_work : (s,) N mm, pressure times sliding distance over all places; NaN where unknown.
+    omega : rad/s.
+    area, radius : of the nominal contact, mm2, and its mean, mm.
+    densities : (layers + 1,) or (s, layers + 1) g/mm3 of each body that wears, NaN where unknown.
+    """
+    numbers: dict[str, FloatArray] = {}
+    time, force = data["time"][rows], data["force"][rows]
+    for body, density in densities.items():
+        volume = _volumes(data, body)[rows]
+        if not np.isnan(density).all():
+            lost = np.where(volume > 0.0, volume * density, 0.0)  # of nothing: unknown too
+            numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
+        # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
+        worn, hours = 1e3 * volume.sum(axis=1), time / _HOUR
+        for name, divisor in (("mean", area * hours), ("specific", normal_work)):
+            unknown = np.full(worn.shape, np.nan)
+            rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
+            numbers[f"{name}_wear_rate_{body}"] = rate
+    numbers["sliding_distance"] = 1e-3 * integral(omega, 0.0, time) * radius
+    numbers["pressure_velocity"] = 1e-3 * force / area * in_time(omega, time) * radius
+    return numbers
+
+
+def _volumes(data: Mapping[str, Any], body: BodyName) -> FloatArray:
+    """Return the volumes (s, layers + 1), mm3, lost by the layers of a body and by itself."""
+    layers = data.get(f"worn_volume_{body}_layers")
+    return data[f"worn_volume_{body}"][:, None] if layers is None else layers
+
+
+def densities_of(result: Result, body: BodyName) -> FloatArray:
+    """Return the densities of the layers and of a body itself (layers + 1,) g/mm3, or NaN."""
+    about, unknown = result.attributes, [np.nan] * (_volumes(result.data, body).shape[1] - 1)
+    layers = about.get(f"density_{body}_layers", unknown)
+    return np.array([*layers, about.get(f"density_{body}", np.nan)])
+
+
+def schedule_of(about: Mapping[str, Any], name: str) -> Quantity:
+    """Return friction or omega of a result's attributes, a number or a table in time."""
+    if f"{name}_table" in about:
+        times, values = zip(*json.loads(about[f"{name}_table"]), strict=True)
+        return Table(times, values)
+    return float(about[name])
+
+
+def _normal_work(result: Result) -> FloatArray:
+    """Return the work of the pressures over the sliding distance (s,), N mm.
+
+    It is that of the friction energy; where friction is a table, with its mean between states, such
+    that the end is what the history knows.
+    """
+    energy, time = result.data["dissipated_energy"], result.data["time"]
+    means = mean(schedule_of(result.attributes, "friction"), time[:-1], time[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
+        if (last := result.checkpoint) is not None and last.state.time == time[-1]:
+            work *= last.state.normal_work / work[-1]
+            work[-1] = last.state.normal_work  # without friction, too
+    return work
+
+
+# -- key numbers -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -89,6 +205,16 @@ class KeyNumber:
         return format(self.value, self.spec) if self.spec else number_words(self.value)
 
 
+#: name, label, value, unit and note of a number, the last two if there are any
+_Row = tuple[Any, ...]
+
+
+def _group(group: str, rows: Iterable[_Row]) -> list[KeyNumber]:
+    """Return the numbers of a group; those that are not known and have no note are left out."""
+    numbers = [KeyNumber(name, group, label, float(v), *rest) for name, label, v, *rest in rows]
+    return [number for number in numbers if number.known or number.note]
+
+
 def key_numbers(result: Result) -> list[KeyNumber]:
     """Return the numbers of a run at its last state.
 
@@ -98,151 +224,131 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
-    state = result.checkpoint.state
-    laboratory = {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
+    state, about = result.checkpoint.state, result.attributes
+    ends = {name: float(values[-1]) for name, values in result.histories.items()}
+    ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
     return [
-        *_penetration(result, state),
-        *(number for i in (0, 1) for number in _worn(result, state, i, laboratory)),
-        *(number for i in (0, 1) for number in _layers(result, state, i)),
-        *_pressures(result, state.contact),
-        *_loads(result, state.contact, laboratory),
+        *_group("penetration", _penetration(result, state)),
+        *(n for i, body in enumerate(BODIES) for n in _group(body, _worn(result, state, i, ends))),
+        *(
+            number
+            for i, body in enumerate(BODIES)
+            for number in _group(f"worn layers of {body}", _layers(result, state, i))
+        ),
+        *_group("pressure", _pressures(result, state.contact)),
+        *_group("load", (
+            ("force", "force", state.contact.force, "N"),
+            ("torque", "torque", 1e-3 * ends["torque"], "N m"),
+            ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
+            ("approach", "approach", state.contact.approach, "mm"),
+        )),
+        *_group("sliding at the mean radius", (
+            ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
+            ("p_v", "p V", ends["pressure_velocity"], "MPa m/s"),
+            ("distance", "distance", ends["sliding_distance"], "m"),
+        )),
         *_stresses(result, state),
-    ]
+    ]  # fmt: skip
 
 
-def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
+def _penetration(result: Result, state: State) -> Iterator[_Row]:
     """Yield the penetration and its parts.
 
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
     """
-    group, load = "penetration", state.contact.pressure * result.line.area
-    error = 1e3 * _ROUND_OFF * float(np.abs(result.histories["approach"]).max())
-    total = 1e3 * float(result.histories["penetration"][-1])
-    total = total if abs(total) >= error else 0.0
-    yield KeyNumber("penetration", group, "total", total, "um")
+    load, least = state.contact.pressure * result.line.area, np.abs(result.data["approach"]).max()
+
+    def shown(depth: float) -> float:
+        return 1e3 * depth if abs(depth) >= _ROUND_OFF * least else 0.0
+
+    total = float(result.data["penetration"][-1])
+    yield "penetration", "total", shown(total), "um"
     if not {"face_lower", "face_upper"} & result.attributes.keys() and load.sum() > 0:
-        worn = 1e3 * float(load @ state.wear.sum(axis=0) / load.sum())
-        elastic = total - worn if abs(total - worn) >= error else 0.0
-        yield KeyNumber("worn_off", group, "worn off", worn, "um")
-        yield KeyNumber("elastic", group, "elastic", elastic, "um")
+        worn = float(load @ state.wear.sum(axis=0) / load.sum())
+        yield "worn_off", "worn off", 1e3 * worn, "um"
+        yield "elastic", "elastic", shown(total - worn), "um"
 
 
-def _worn(
-    result: Result, state: State, i: int, laboratory: Mapping[str, float]
-) -> Iterator[KeyNumber]:
+def _worn(result: Result, state: State, i: int, ends: Mapping[str, float]) -> Iterator[_Row]:
     """Yield the wear of a body, nothing of one that does not wear."""
     body = BODIES[i]
     if not result.attributes[f"law_{body}"]:
         return
-    volume = float(result.histories[f"worn_volume_{body}"][-1])
-    deepest = 1e3 * float(state.wear[i].max())
-    yield KeyNumber(f"{body}_deepest_wear", body, "deepest wear", deepest, "um")
-    yield KeyNumber(f"{body}_worn_volume", body, "worn volume", volume, "mm3")
-    mass, missing = laboratory.get(f"mass_lost_{body}", np.nan), _unknown_densities(result, body)
-    yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", missing)
-    mean, specific = (laboratory[f"{name}_wear_rate_{body}"] for name in ("mean", "specific"))
-    if not np.isnan(mean):
-        yield KeyNumber(f"{body}_mean_rate", body, "mean rate", mean, "um/h")
-        now = 3.6e6 * float(state.rates[i] @ result.line.area) / result.attributes["nominal_area"]
-        yield KeyNumber(f"{body}_last_rate", body, "rate at the end", now, "um/h")
-    if not np.isnan(specific):
-        label = "specific wear rate"
-        yield KeyNumber(f"{body}_specific_rate", body, label, specific, "mm3/(N m)")
-
-
-def _unknown_densities(result: Result, body: BodyName) -> str:
-    """Return which densities the mass that a body has lost needs, "" for none."""
-    total = result.histories[f"worn_volume_{body}"]
-    volumes = np.atleast_1d(result.layers.get(f"worn_volume_{body}_layers", total)[-1])
-    keys = density_keys(body, len(volumes) - 1)
+    volumes = _volumes(result.data, body)[-1]
     unknown = np.isnan(densities_of(result, body)) & (volumes > 0.0)
+    keys = density_keys(body, len(volumes) - 1)
     missing = ", ".join(key for key, lacks in zip(keys, unknown, strict=True) if lacks)
-    return f"{missing} not given" if missing else ""
+    mass, mean_rate = ends.get(f"mass_lost_{body}", np.nan), ends[f"mean_wear_rate_{body}"]
+    now = 3.6e6 * float(state.rates[i] @ result.line.area) / result.attributes["nominal_area"]
+    yield f"{body}_deepest_wear", "deepest wear", 1e3 * state.wear[i].max(), "um"
+    yield f"{body}_worn_volume", "worn volume", ends[f"worn_volume_{body}"], "mm3"
+    yield f"{body}_mass", "mass lost", mass, "mg", f"{missing} not given" if missing else ""
+    yield f"{body}_mean_rate", "mean rate", mean_rate, "um/h"
+    yield f"{body}_last_rate", "rate at the end", np.nan if np.isnan(mean_rate) else now, "um/h"
+    specific = ends[f"specific_wear_rate_{body}"]
+    yield f"{body}_specific_rate", "specific wear rate", specific, "mm3/(N m)"
 
 
-def _layers(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
+def _layers(result: Result, state: State, i: int) -> Iterator[_Row]:
     """Yield the wear of the layers of a body, nothing of one without.
 
     Time and place of the first wear through a layer are as stored states show them; the time of
     all layers is exact.
     """
-    body, line = BODIES[i], result.line
-    if f"share_through_{body}" not in result.layers:
+    body, line, data = BODIES[i], result.line, result.data
+    if f"share_through_{body}" not in data:
         return
-
-    def number(name: str, label: str, value: float, unit: str) -> KeyNumber:
-        return KeyNumber(f"{body}_{name}", f"worn layers of {body}", label, value, unit)
-
-    *volumes, itself = result.layers[f"worn_volume_{body}_layers"][-1].tolist()
+    *volumes, itself = data[f"worn_volume_{body}_layers"][-1].tolist()
     for layer, volume in enumerate(volumes):
-        yield number(f"volume_layer_{layer}", f"volume of layer {layer}", volume, "mm3")
-    yield number("volume_under_layers", "volume of the body itself", itself, "mm3")
-    wear, times = result.profiles.get(f"wear_{body}"), result.histories["time"]
+        yield f"{body}_volume_layer_{layer}", f"volume of layer {layer}", volume, "mm3"
+    yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
+    wear, times = data.get(f"wear_{body}"), data["time"]
     if wear is None or wear.ndim == 1:
         wear, times = state.wear[i][None], state.time[None]
-    for layer, end in enumerate(result.data.get(f"layer_end_{body}", ())):
+    for layer, end in enumerate(data[f"layer_end_{body}"]):
         gone = wear >= end * (1.0 - _ON)
         if gone.any():
             first, label = int(gone.any(axis=1).argmax()), f"area without layer {layer}"
-            deepest = int(np.where(gone[first], wear[first] - end, -np.inf).argmax())
+            r = line.r[np.where(gone[first], wear[first] - end, -np.inf).argmax()]
             through, percent = f"through_layer_{layer}", 100.0 * share(line.area, gone[-1])
-            yield number(f"share_{through}", label, percent, "%")
-            yield number(f"time_{through}", f"{label}, first by time", float(times[first]), "s")
-            r = float(line.r[deepest])
-            yield number(f"r_{through}", f"{label}, first at radius", r, "mm")
-    percent = 100.0 * float(result.layers[f"share_through_{body}"][-1])
-    yield number("share_through", "area without layers", percent, "%")
-    time = float(result.attributes.get(f"time_through_{body}", np.nan))
-    if not np.isnan(time):
-        yield number("time_through", "area without layers, first at time", time, "s")
-    left = 1e3 * np.atleast_2d(result.layers[f"layer_left_{body}"])[-1]
-    yield number("least_left", "least thickness left", float(left.min()), "um")
-    yield number("most_left", "largest thickness left", float(left.max()), "um")
+            yield f"{body}_share_{through}", label, percent, "%"
+            yield f"{body}_time_{through}", f"{label}, first by time", times[first], "s"
+            yield f"{body}_r_{through}", f"{label}, first at radius", r, "mm"
+    label, percent = "area without layers", 100.0 * data[f"share_through_{body}"][-1]
+    yield f"{body}_share_through", label, percent, "%"
+    time = result.attributes.get(f"time_through_{body}", np.nan)
+    yield f"{body}_time_through", f"{label}, first at time", time, "s"
+    left = 1e3 * np.atleast_2d(data[f"layer_left_{body}"])[-1]
+    yield f"{body}_least_left", "least thickness left", left.min(), "um"
+    yield f"{body}_most_left", "largest thickness left", left.max(), "um"
 
 
-def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
+def _pressures(result: Result, contact: ContactState) -> Iterator[_Row]:
     """Yield the contact pressures."""
-    group, p = "pressure", contact.pressure
-    mean, touching = float(contact.force) / result.attributes["nominal_area"], int((p > 0.0).sum())
-    yield KeyNumber("mean_pressure", group, "mean over the nominal annulus", mean, "MPa")
-    note = f"of {result.line.n}" + ("" if touching else ": the faces do not touch")
+    p, touching = contact.pressure, int((contact.pressure > 0.0).sum())
+    mean_pressure, note = contact.force / result.attributes["nominal_area"], f"of {result.line.n}"
+    yield "mean_pressure", "mean over the nominal annulus", mean_pressure, "MPa"
     if touching:
         place = int(p.argmax())
-        r, edge = float(result.line.r[place]), edge_elements(p)[place]
-        off = f"at an edge of contact: off by up to {100.0 * EDGE_ERROR:.0f} %" if edge else ""
-        largest, smallest = float(p[place]), float(p.min())
-        yield KeyNumber("largest_pressure", group, "largest of an element", largest, "MPa", off)
-        yield KeyNumber("r_largest_pressure", group, "largest, at radius", r, "mm")
-        yield KeyNumber("smallest_pressure", group, "smallest", smallest, "MPa")
-    yield KeyNumber("touching", group, "elements in contact", touching, "", note, "d")
+        off = f"at an edge of contact: off by up to {100.0 * EDGE_ERROR:.0f} %"
+        off *= bool(edge_elements(p)[place])
+        yield "largest_pressure", "largest of an element", p[place], "MPa", off
+        yield "r_largest_pressure", "largest, at radius", result.line.r[place], "mm"
+        yield "smallest_pressure", "smallest", p.min(), "MPa"
+    else:
+        note += ": the faces do not touch"
+    yield "touching", "elements in contact", touching, "", note, ".0f"
 
 
-def _loads(
-    result: Result, contact: ContactState, laboratory: Mapping[str, float]
-) -> Iterator[KeyNumber]:
-    """Yield approach, force, torque and energy, and the sliding at the mean radius."""
-    about, histories = result.attributes, result.histories
-    torque, energy = (1e-3 * float(histories[n][-1]) for n in ("torque", "dissipated_energy"))
-    yield KeyNumber("force", "load", "force", float(contact.force), "N")
-    yield KeyNumber("torque", "load", "torque", torque, "N m")
-    yield KeyNumber("dissipated_energy", "load", "dissipated energy", energy, "J")
-    yield KeyNumber("approach", "load", "approach", float(contact.approach), "mm")
-    speed = float(about["omega"] * about["mean_radius"])
-    group = "sliding at the mean radius"
-    yield KeyNumber("speed", group, "speed", speed, "mm/s")
-    yield KeyNumber("p_v", group, "p V", laboratory["pressure_velocity"], "MPa m/s")
-    yield KeyNumber("distance", group, "distance", laboratory["sliding_distance"], "m")
-
-
-def _stresses(result: Result, last: State) -> Iterator[KeyNumber]:
-    """Yield the largest stress of each body and its layers at the last state that has stresses."""
-    if (history := result.stress) is None or not history.states:
-        return
-    state = history.states[-1]
+def _stresses(result: Result, last: State) -> list[KeyNumber]:
+    """Return the largest stress of each body and its layers at the last state that has stresses."""
+    if (history := result.stress) is None:
+        return []
+    state, rows = history.states[-1], list[_Row]()
     beside_edge = edge_elements(last.contact.pressure) & (state.time == last.time)
     group = "largest von Mises stress"
-    if state.time != result.histories["time"][-1]:
+    if state.time != result.data["time"][-1]:
         group += f" at t = {state.time:g} s"
     if history.exclude:
         group += f", {history.exclude:g} mm and more from edges"
@@ -252,11 +358,12 @@ def _stresses(result: Result, last: State) -> Iterator[KeyNumber]:
             element = int(result.line.element_at(np.array([largest.r]))[0])
             if element >= 0 and beside_edge[element]:
                 place += ", at an edge of contact"
-            yield KeyNumber(f"{body}_mises", group, body, largest.mises, "MPa", place)
+            rows.append((f"{body}_mises", body, largest.mises, "MPa", place))
         for i, value in enumerate(np.asarray(layers).tolist()):
             label = f"layer {i} of {body}" if i < len(layers) - 1 else f"{body} itself"
             note = "nothing of it is left there" if np.isnan(value) else ""
-            yield KeyNumber(f"{body}_mises_{i}", group, label, value, "MPa", note)
+            rows.append((f"{body}_mises_{i}", label, value, "MPa", note))
+    return _group(group, rows)
 
 
 def check_numbers(result: Result) -> list[KeyNumber]:

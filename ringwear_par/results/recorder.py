@@ -26,7 +26,7 @@ from ringwear_par.results.fields import (
     stress_arrays,
     stress_rows,
 )
-from ringwear_par.results.laboratory_numbers import end_numbers
+from ringwear_par.results.key_numbers import end_numbers
 from ringwear_par.results.result import BALANCE, Checkpoint, HistoryColumns, Result
 from ringwear_par.results.rows import LastStates, StoredRows
 from ringwear_par.results.variables import LAYER_ENDS

@@ -13,9 +13,9 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one, take
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
-from ringwear_par.errors import RingwearError, ValidityWarning
+from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
+from ringwear_par.files.writing import check_writable
 from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.results.fields import boundary_states, stress_history
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES
 
 if TYPE_CHECKING:
@@ -162,11 +162,15 @@ class Result(Outcome):
     @property
     def stress(self) -> StressHistory | None:
         """Stored stresses, None where there are none."""
+        from ringwear_par.results.fields import stress_history
+
         return stress_history(self.data)
 
     @property
     def boundary(self) -> tuple[BoundaryState, ...]:
         """Stored fields on the whole boundaries."""
+        from ringwear_par.results.fields import boundary_states
+
         return boundary_states(self.data)
 
     @property
@@ -227,10 +231,18 @@ class Result(Outcome):
         return to_xarray(self)
 
     def save(self, path: str | Path) -> None:
-        """Write its file, see ``Outcome.save``."""
-        from ringwear_par.results.files import save
+        """Write its file, see ``Outcome.save``.
 
-        save(self, path)
+        Not collective: the process that calls this writes. Where several have the same result and
+        write the same file, it is whole at any time, and in the end that of one of them.
+        """
+        from ringwear_par.results.files import write_result
+
+        check_writable(Path(path))
+        try:
+            write_result(Path(path), self)
+        except OSError as error:
+            raise ComputationError(f"{path}: {error.strerror or error}") from error
 
     def plot(self) -> "Figure":
         """Return the figure of its histories and profiles."""

@@ -5,7 +5,7 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import on_first_rank

@@ -15,9 +15,9 @@ from ringwear_par.results.key_numbers import (
     TIME_STEPS,
     KeyNumber,
     check_numbers,
+    densities_of,
     key_numbers,
 )
-from ringwear_par.results.laboratory_numbers import densities_of
 from ringwear_par.results.result import Result
 
 #: errors of balances above which a computation does not satisfy its equations
@@ -32,12 +32,7 @@ def labelled(lines: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def summary(result: Result) -> str:
-    """Return a result in a few lines, as ``ringwear run`` prints it.
-
-    Raises
-    ------
-    InputError : the result was stored without its last state.
-    """
+    """Return a result in a few lines, see ``Result.summary``."""
     numbers = {number.name: number for number in key_numbers(result)}
     warnings, (wrong, errors) = warnings_of(result), checks(result)
     words = [f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, above"] if warnings else []
@@ -50,48 +45,43 @@ def summary(result: Result) -> str:
 def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple[str, str]]:
     """Yield the answers of a run, one a line, with four digits."""
 
-    def text(name: str) -> str:
-        number = numbers[name]
+    def text(name: str, words: str = "{}") -> str:
+        """Return a number within words, "" where there is none."""
+        if (number := numbers.get(name)) is None:
+            return ""
         if not number.known:
-            return f"{number.label} unknown ({number.note})"
-        return f"{number.text} {number.unit}"
+            return words.format(f"{number.label} unknown ({number.note})")
+        return words.format(f"{number.text} {number.unit}".strip())
 
     if early := early_end(result):
         yield "ended", early
-    parts = ""
-    if "worn_off" in numbers:
-        parts = f" (worn off {text('worn_off')}, elastic {text('elastic')})"
-    yield "penetration", f"{text('penetration')}{parts}"
+    parts = text("worn_off", " (worn off {}") + text("elastic", ", elastic {})")
+    yield "penetration", text("penetration") + parts
     worn, rates = [], []
     for body in BODIES:
         if f"{body}_worn_volume" not in numbers:
             continue
-        amounts = text(f"{body}_worn_volume")
-        if np.isfinite(densities_of(result, body)).any():
-            amounts += f", {text(f'{body}_mass')}"
-        worn.append(f"{body} {amounts}, {text(f'{body}_deepest_wear')} at most")
-        if f"{body}_share_through" in numbers:
-            worn[-1] += f", {text(f'{body}_share_through')} of its area without layers"
-        if f"{body}_last_rate" in numbers:
-            rates.append(f"{body} {text(f'{body}_last_rate')} at the end")
-        if f"{body}_specific_rate" in numbers:
-            rates[-1] += f", {text(f'{body}_specific_rate')} over the test"
+        some = np.isfinite(densities_of(result, body)).any()
+        mass = text(f"{body}_mass", ", {}") if some else ""
+        deepest = text(f"{body}_deepest_wear", ", {} at most")
+        through = text(f"{body}_share_through", ", {} of its area without layers")
+        worn.append(f"{body} {text(f'{body}_worn_volume')}{mass}{deepest}{through}")
+        specific = text(f"{body}_specific_rate", ", {} over the test")
+        rates.append(text(f"{body}_last_rate", f"{body} {{}} at the end") + specific)
     yield "worn", "; ".join(worn) or "nothing wears"
-    yield "wear rate", "; ".join(rates) or "none"
-    elements = f"{numbers['touching'].text} of {result.line.n} elements touch"
-    if "largest_pressure" in numbers:
-        place = f"(r = {text('r_largest_pressure')})"
-        elements = f"{text('largest_pressure')} at most {place}, {elements}"
-    else:
-        elements += ": the faces do not touch"
-    yield "pressure", f"{text('mean_pressure')} mean, {elements}"
+    yield "wear rate", "; ".join(filter(None, rates)) or "none"
+    where = text("r_largest_pressure", " at most (r = {})")
+    largest = text("largest_pressure", f"{{}}{where}, ")
+    elements = f"{text('touching')} of {result.line.n} elements touch"
+    elements += "" if largest else ": the faces do not touch"
+    yield "pressure", f"{text('mean_pressure')} mean, {largest}{elements}"
     energy = text("dissipated_energy")
     yield "torque", f"{text('torque')}, force {text('force')}, friction energy {energy}"
 
 
 def early_end(result: Result) -> str:
     """Return where a limit ended a history before its time, "" if none did."""
-    about, ended = result.attributes, float(result.histories["time"][-1])
+    about, ended = result.attributes, float(result.data["time"][-1])
     if about["status"] != "complete" or ended >= about["time_end"] * (1.0 - SAME_TIME):
         return ""
     limit = about.get("stopped_by", "a limit of [stop]")
@@ -112,25 +102,14 @@ def checks(result: Result) -> tuple[list[str], str]:
 
 
 def to_dict(result: Result) -> dict[str, Any]:
-    """Return title, status, warnings and key numbers with their units, as JSON can hold them.
-
-    Raises
-    ------
-    InputError : the result was stored without its last state.
-    """
+    """Return title, status, warnings and numbers, see ``Result.to_dict``."""
     numbers = [*key_numbers(result), *check_numbers(result)]
     return {
-        "title": result.attributes["title"],
-        "status": result.attributes["status"],
-        "error": result.attributes["error"],
+        **{name: result.attributes[name] for name in ("title", "status", "error")},
         "doubts": [doubt.to_dict() for doubt in result.doubts],
         "warnings": [doubt.text for doubt in result.doubts],
         "numbers": {
-            number.name: {
-                "value": float(number.value) if number.known else None,
-                "unit": number.unit,
-            }
-            for number in numbers
+            n.name: {"value": n.value if n.known else None, "unit": n.unit} for n in numbers
         },
     }
 
@@ -152,9 +131,9 @@ def warnings_of(result: Result) -> list[str]:
             else f"stopped after {where}: ringwear run --restart continues it"
         )
     sentences += [doubt.text for doubt in result.doubts]
-    for body in BODIES if result.histories["dissipated_energy"][-1] > 0.0 else ():
+    for body in BODIES if result.data["dissipated_energy"][-1] > 0.0 else ():
         law = about[f"law_{body}"]
-        if law and result.histories[f"worn_volume_{body}"][-1] == 0.0:
+        if law and result.data[f"worn_volume_{body}"][-1] == 0.0:
             reason = f"its pressures never reach what wears, by {law}"
             sentences.append(f"nothing of {body} is worn off: {reason}")
     return sentences

@@ -46,10 +46,6 @@ class Variable:
         """What files say of it."""
         return {"units": self.unit, "long_name": self.meaning}
 
-    def named(self, name: str) -> "Variable":
-        """Return the variable under another name."""
-        return replace(self, name=name)
-
     def at_last_step(self) -> "Variable":
         """Return the variable of the last stored step alone."""
         rest = tuple(name for name in self.dimensions if name != "step")
@@ -101,24 +97,27 @@ def _of_bodies(*rows: Sequence[str]) -> dict[str, Variable]:
     return _table(*both)
 
 
+def axis(name: str) -> Variable:
+    """Return the coordinate of an axis whose entries are numbered from 0."""
+    return Variable(name, (name,), "1", f"number of the {name.replace('_', ' ')}", integer=True)
+
+
+ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
+#: coordinate of the stored states where they are numbered, since times of output lie within steps
+STATE_NUMBER = Variable("step", ("step",), "1", "number of the stored state", integer=True)
 # fmt: off
 _AXES = _table(
     ("step", "step", "1", "number of time steps made", "int"),
     ("steps_made", "step", "1", "number of time steps made", "int"),  # where states are numbered
-    ("element", "element", "1", "contact element, from the inner edge outwards", "int"),
-    ("layer", "layer", "1", "layer from the contact face inwards; the last is the body itself",
-     "int"),
-    # where upper has other numbers of layers than lower
-    ("layer_upper", "layer_upper", "1",
-     "layer from the contact face inwards; the last is the body itself", "int"),
-    ("line/edge", "edge", "1", "end of a contact element", "int"),
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
-    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npz file",
+    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
      "int"),
+    # words along axes
+    ("component", "component", "1", "component of stress"),
+    ("side", "side", "1", "side of an interface"),
+    *((f"boundary/{body}/{name}", name, "1", f"component of {what}")
+      for body in BODIES for name, what in (("plane", "a place"), ("direction", "a vector"))),
 )
-ELEMENT, LAYER, UPPER_LAYER = (_AXES[name] for name in ("element", "layer", "layer_upper"))
-#: coordinate of the stored states where they are numbered, since times of output lie within steps
-STATE_NUMBER = replace(_AXES["step"], meaning="number of the stored state")
 #: the contact line
 LINE = _table(
     ("r", "element", "mm", "radius of the element's mid-point"),
@@ -193,26 +192,28 @@ POINTS = _table(
      "side of the face or interface that the point lies on, as in stress.points"),
 )
 POINT_SIDE = POINTS["point_side"]
-#: of both bodies together
-_MAX_MISES = _table(
-    ("max_mises", "stress_step", "MPa", "largest von Mises stress of both rings"),
-    ("max_mises_r", "stress_step", "mm", "radius at which it is"),
-    ("max_mises_z", "stress_step", "mm", "height at which it is"),
-    ("max_mises_layer", "stress_step", "1",
-     "layer that it is in, from the contact face on; the last is the body itself", "int"),
-)
+
+
+def _largest_of(place: str, bodies: str) -> dict[str, Variable]:
+    """Return the variables of the largest stress of bodies."""
+    return _table(
+        (place, "stress_step", "MPa", f"largest von Mises stress of {bodies}"),
+        (f"{place}_r", "stress_step", "mm", "radius at which it is"),
+        (f"{place}_z", "stress_step", "mm", "height at which it is"),
+        (f"{place}_layer", "stress_step", "1",
+         "layer that it is in, from the contact face on; the last is the body itself", "int"),
+    )
+
+
+_MAX_MISES = _largest_of("max_mises", "both rings")
 _STRESSES = {
     **_table(
-        ("stress_step", "stress_step", "1", "number of the stored state of stress", "int"),
         ("stress_time", "stress_step", "s", "time"),
         ("stress_steps_made", "stress_step", "1", "number of time steps made", "int"),
-        ("component", "component", "1", "component of stress"),
-        ("side", "side", "1", "side of an interface"),
         ("stress_exclude", "", "mm",
          "radius round edges, within which no largest stress is looked for"),
-        ("point", "point", "1", "point of stress.points", "int"),
-        ("principal_value", "principal_value", "1", "principal value, the largest first", "int"),
-        ("principal", "stress_step point principal_value", "MPa", "principal stresses"),
+        ("principal", "stress_step point principal_value", "MPa",
+         "principal stresses, the largest first"),
         ("grid_r", "grid_r", "mm", "radius of the grid"),
         ("grid_z", "grid_z", "mm", "height of the grid"),
         ("stress", "stress_step point component", "MPa", f"stress {_TENSOR}"),
@@ -223,18 +224,11 @@ _STRESSES = {
         ("max_shear_grid", "stress_step grid_r grid_z", "MPa", "largest shear stress"),
     ),
     **POINTS, **_MAX_MISES,
+    **_largest_of("max_mises_lower", "the lower ring"),
+    **_largest_of("max_mises_upper", "the upper ring"),
     **_of_bodies(
-        ("max_mises_lower", "stress_step", "MPa", "largest von Mises stress of the lower ring"),
-        ("max_mises_lower_r", "stress_step", "mm", "radius at which it is"),
-        ("max_mises_lower_z", "stress_step", "mm", "height at which it is"),
-        ("max_mises_lower_layer", "stress_step", "1",
-         "layer that it is in, from the contact face on; the last is the body itself", "int"),
         ("surface_stress_lower", "stress_step element component", "MPa",
          f"stress of the lower ring at its contact face {_TENSOR}"),
-        ("interface_lower", "interface_lower", "1",
-         "interface of the lower ring: the layer that it is under", "int"),
-        ("interface_element_lower", "interface_element_lower", "1",
-         "element of the interfaces, from the inner edge outwards", "int"),
         ("interface_r_lower", "interface_element_lower", "mm", "radius of the element's mid-point"),
         ("interface_z_lower", "interface_lower", "mm", "height of the interface, unworn"),
         ("interface_stress_lower",
@@ -246,7 +240,6 @@ _STRESSES = {
          "largest von Mises stress in each layer of the lower ring, and in the ring itself"),
     ),
 }
-POINT = _STRESSES["point"]
 
 
 def _at_stored_states(*names: str) -> dict[str, Variable]:
@@ -261,33 +254,43 @@ LAYER_STRESS = _at_stored_states("max_mises_lower_layers", "max_mises_upper_laye
 POINT_STRESS = _at_stored_states("mises", "max_shear")
 
 #: the fields on the whole boundary of a body, in a group with axes of its own
-_BOUNDARIES = _of_bodies(*((f"boundary/lower/{name}", *rest) for name, *rest in (
-    ("boundary_step", "boundary_step", "1", "number of the stored boundary state", "int"),
-    ("boundary_node", "boundary_node", "1", "node of the boundary", "int"),
-    ("boundary_element", "boundary_element", "1",
-     "element of the boundary; its outward normal lies to the right of its direction", "int"),
-    ("corner", "corner", "1", "first, middle and last node of an element", "int"),
+BOUNDARY = _table(
     ("time", "boundary_step", "s", "time"),
     ("steps_made", "boundary_step", "1", "number of time steps made", "int"),
-    ("nodes", "boundary_element corner", "1", "nodes of the element", "int"),
+    ("nodes", "boundary_step boundary_node plane", "mm", "nodes of the worn, undeformed body"),
+    ("elements", "boundary_element corner", "1",
+     "first, middle and last node of an element; its outward normal lies to the right", "int"),
     ("face", "boundary_element", "1",
      "face of the body: " + ", ".join(f"{i} {name}" for i, name in enumerate(FACES)), "int"),
-    ("r", "boundary_step boundary_node", "mm", "r of the worn, undeformed body"),
-    ("z", "boundary_step boundary_node", "mm", "z of the worn, undeformed body"),
-    *((f"displacement_{x}", "boundary_step boundary_node", "mm", f"displacement along {x}")
-      for x in ("r", "z", "theta")),
-    *((f"traction_{x}", "boundary_step boundary_element", "MPa", f"traction along {x}")
-      for x in ("r", "z", "theta")),
+    ("displacement", "boundary_step boundary_node direction", "mm", "displacement"),
+    ("traction", "boundary_step boundary_element direction", "MPa", "traction"),
     ("pressure", "boundary_step boundary_element", "MPa", "contact pressure, 0 elsewhere"),
     ("wear", "boundary_step boundary_element", "mm",
      "worn depth along the axis, 0 off the contact"),
-)))
+)
+#: what laboratories report, which follows from the rest: mass lost, rates of wear, distance, p V
+LABORATORY_NUMBERS = {
+    **_of_bodies(
+        ("mass_lost_lower", "step", "mg",
+         "mass lost by the lower ring, by its density; nothing where that is not given"),
+        ("mean_wear_rate_lower", "step", "um/h",
+         "mean rate of wear of the lower ring since the start: volume over contact area and time"),
+        ("specific_wear_rate_lower", "step", "mm3/(N m)",
+         "specific wear rate of the lower ring since the start: volume over force and distance"),
+    ),
+    **_table(
+        ("sliding_distance", "step", "m", "sliding distance at the mean radius"),
+        ("pressure_velocity", "step", "MPa m/s",
+         "p V: mean pressure on the nominal area times speed at the mean radius"),
+    ),
+}
 # fmt: on
 
 #: all variables of a result by their places in its file; groups have axes of their own
 VARIABLES = {
-    **_AXES, **LINE, **HISTORIES, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **LAYERS, **LAYER_ENDS, **_STRESSES, **_BOUNDARIES,
+    **_AXES, **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
+    **LAYERS, **LAYER_ENDS, **_STRESSES, **LABORATORY_NUMBERS,
+    **{f"boundary/{body}/{name}": v for body in BODIES for name, v in BOUNDARY.items()},
 }  # fmt: skip
 #: coordinates that are no dimensions
 COORDINATES = (

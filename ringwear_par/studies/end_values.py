@@ -14,10 +14,10 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
     DISPLAY_UNITS,
     HISTORIES,
+    LABORATORY_NUMBERS,
     LARGEST_STRESS,
     LAYER,
     LAYER_HISTORIES,

@@ -11,7 +11,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result

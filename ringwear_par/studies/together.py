@@ -14,8 +14,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.elastic.bodies import operator_key, shares_reference, young
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import operator_key, shares_reference, young
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.lockstep import batch_key, can_share
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.observers.stresses import CaseStresses, stress_key

@@ -134,9 +134,14 @@ def test_opens_in_xarray(tmp_path, comm):
         with xarray.open_dataset(path, group=f"boundary/{body}", engine="h5netcdf") as data:
             assert data.sizes["boundary_node"] == 2 * data.sizes["boundary_element"]  # closed
             assert list(data.time.values) == [0.0, 10.0, 50.0, 100.0, 200.0]
-            for name in ("r", "z", "displacement_r", "displacement_z", "displacement_theta"):
-                assert data[name].dims == ("boundary_step", "boundary_node")
-            for name in ("traction_r", "traction_z", "traction_theta", "pressure", "wear"):
+            assert data.nodes.dims == ("boundary_step", "boundary_node", "plane")
+            for name, place in (
+                ("displacement", "boundary_node"),
+                ("traction", "boundary_element"),
+            ):
+                assert data[name].dims == ("boundary_step", place, "direction")
+            assert data.direction.values.tolist() == ["r", "z", "theta"]
+            for name in ("pressure", "wear"):
                 assert data[name].dims == ("boundary_step", "boundary_element")
             assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.variables.values())
             assert float(data.wear.max()) > 0 or body == "upper"

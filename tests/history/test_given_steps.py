@@ -6,7 +6,7 @@ from parts import Recorder
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.loop import simulate_one
 
 ADAPTIVE = {"mesh.contact_elements": 12, "time": {"scheme": "adaptive", "end": 30.0}}

@@ -9,8 +9,8 @@ from mpi4py import MPI
 from parts import Load, Mesh, Stepping, ThresholdLaw
 from reference_cases import paper_case
 
-from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import young
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.stable_steps import stable_steps

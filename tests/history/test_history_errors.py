@@ -10,7 +10,7 @@ from parts import Mesh, Output, PowerLaw, RunningInLaw, Stepping, ThresholdLaw
 from reference_cases import paper_case
 
 import ringwear_par as rw
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.trace import trace
 
 ALONE = MPI.COMM_SELF

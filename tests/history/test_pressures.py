@@ -8,7 +8,7 @@ from parts import ArchardLaw, Closing, Output, WearIncrement
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.trace import trace
 
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}

@@ -7,7 +7,7 @@ import pytest
 from parts import Mesh
 from reference_cases import paper_case
 
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import euler, sdirk2

@@ -23,8 +23,8 @@ from reference_cases import CONTACT, Rings, ring_case
 from wearing import sliding
 
 import ringwear_par as rw
-from ringwear_par.history.elastic.bodies import bodies
-from ringwear_par.history.elastic.pairs import assemble, updated_geometry
+from ringwear_par.history.elastic import bodies
+from ringwear_par.history.elastic import assemble, updated_geometry
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics

@@ -6,7 +6,7 @@ from mpi4py import MPI
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.trace import trace
 
 CASE = CASES / "wear_through.toml"

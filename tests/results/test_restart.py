@@ -38,7 +38,7 @@ RUNS = {
     "boundaries": (
         CASES / "fields.toml",
         ["mesh.contact_elements=16", "output.boundary=all", *MOVING[:1], "wear.lower.k=1e-6",
-         "mesh.geometry_tolerance=0.004"], 5, "boundary/upper/displacement_z",
+         "mesh.geometry_tolerance=0.004"], 5, "boundary/upper/displacement",
     ),
     "stresses": (PAPER, [*SMALL, "time.steps=6", "time.step=30", GRID], 3, "mises_grid"),
     "stresses, new meshes": (

@@ -89,7 +89,7 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
         for path in ("time.step", "time.steps"):
             unread[path] = "time.end" in keys, "must be absent beside time.end"
     elif adaptive is False:
-        for path in ("time.end", "time.tolerance", "time.pressure_tolerance"):
+        for path in ("time.end", "time.tolerance"):
             unread[path] = True, 'needs time.scheme = "adaptive"'
     return {path: rule for path, (is_unread, rule) in unread.items() if is_unread and path in keys}
 

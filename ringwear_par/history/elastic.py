@@ -1,12 +1,32 @@
 """Elasticity that is assembled of a case's bodies: contact pairs, updated geometry, fields."""
 
+from collections.abc import Hashable
+
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
+from ringwear_par.elasticity.mesh import pair_key
+from ringwear_par.elasticity.sections import Body, Material
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
-from ringwear_par.history.elastic.bodies import bodies
+
+
+def bodies(case: Case) -> tuple[Body, Body]:
+    """Return lower and upper. Not collective."""
+    lower, upper = (
+        Body(
+            case.section(ring), ring.young, ring.poisson, ring.grip,
+            tuple(Material(layer.young, layer.poisson) for layer in ring.layers),
+        )
+        for ring in case.rings
+    )  # fmt: skip
+    return lower, upper
+
+
+def operator_key(case: Case) -> Hashable:
+    """Return the key of the contact pair of a case; equal for cases that can share it."""
+    return pair_key(bodies(case), case.contact, case.mesh)
 
 
 def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:

@@ -1,0 +1,98 @@
+"""The contacts of B histories of a block, one after another in C, together with wear.
+
+Depths are lines above thresholds, or lines that touch them (Newton's method). An active set and
+conjugate gradients on the collocated equations solve each contact, see ``_rows.h``. What is not
+solved so is left to PETSc's TAO.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.batched import take
+from ringwear_par.contact import _rows
+from ringwear_par.contact.problem import Compliance, Contact
+from ringwear_par.contact.tao import TaoContact
+from ringwear_par.wear.step import StepWear
+
+#: touching lines, at most
+_LINES = 40
+#: residual of responses, over those before
+_ROUGH = 0.1
+#: residual that is allowed where TAO takes over, see ``TaoContact``
+_RESCUED = 1e-6
+
+
+@dataclass(frozen=True)
+class BlockSolver:
+    """The contacts of B histories. Not collective.
+
+    Parameters
+    ----------
+    by_force : whether loads are forces, N; else approaches, mm.
+    depth : (B,) mm, error of gaps of elements in contact.
+    relative : error of pressures, over the largest of the history.
+    """
+
+    compliance: Compliance
+    by_force: bool
+    depth: FloatArray
+    relative: float = 1e-4
+
+    def solve(
+        self,
+        gap: FloatArray,
+        load: FloatArray,
+        wear: StepWear | None,
+        p: FloatArray,
+        d: FloatArray,
+    ) -> Contact:
+        """Return the contacts at gaps (B, n), from pressures and approaches near them."""
+        p, d, whole = p.copy(), d.copy() if self.by_force else load.copy(), True
+        count, rows = len(gap), np.arange(len(gap))
+        failed, iterations = np.zeros(count, bool), np.zeros(count, np.int64)
+        if self.by_force and load.min() <= 0.0:  # some of the bodies just touch
+            lifted, whole = load <= 0.0, False
+            p[lifted], d[lifted], rows = 0.0, gap[lifted].min(axis=1), rows[~lifted]
+        for _ in range(_LINES):
+            if not len(rows):
+                break
+            some = self.compliance, self.depth, gap, load, p, d
+            c, depth, of, force, q, e = some if whole else take(some, rows)
+            q, e = (q.copy(), e.copy()) if whole else (q, e)  # lines are known by their pressures
+            lines = self._lines(wear, q, None if whole else rows)
+            sets = np.empty(len(rows), np.int32)
+            _rows.solve(c, of, force, self.by_force, *lines, self.relative, depth, q, e, sets)
+            p[rows], d[rows], failed[rows] = q, e, (sets < 0) | ~np.isfinite(e)
+            iterations[rows] += np.abs(sets)
+            if wear is None or wear.linear:
+                break
+            rows, whole = rows[sets > 0], False  # of the others, lines were right before
+        else:
+            failed[rows] = True
+        found = Contact(p, d, failed, iterations)
+        return self._rescued(found, gap, load, wear) if failed.any() else found
+
+    def _lines(
+        self, wear: StepWear | None, p: FloatArray, rows: IntArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        nothing = np.zeros((0, *p.shape))
+        return (nothing, nothing) if wear is None else wear.lines(p, rows)
+
+    def _rescued(
+        self, found: Contact, gap: FloatArray, load: FloatArray, wear: StepWear | None
+    ) -> Contact:
+        """Return the contacts, of which TAO has solved those that had failed."""
+        lost: BoolArray = found.failed
+        with TaoContact(self.compliance, self.by_force, allowed=_RESCUED) as tao:
+            p, d, failed, more = tao.solve(gap, load, wear, found.pressure, found.approach, lost)
+        return Contact(p, d, failed, found.iterations + more)
+
+    def filtered(self, error: FloatArray, wear: StepWear, p: FloatArray) -> FloatArray:
+        """Return what is left of errors of depth (B, n) when pressures have given way to them."""
+        const, slope = wear.lines(p)
+        slope = (slope * (const + slope * p > 0.0)).sum(axis=0)
+        inverse, relief = (p > 0.0) / (self.compliance.diagonal + slope), np.empty_like(p)
+        _rows.respond(self.compliance, self.by_force, inverse, slope, _ROUGH, error.copy(), relief)
+        return error + slope * relief

@@ -1,0 +1,251 @@
+"""A block of B histories on one contact line: what their cases give them, as arrays."""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.contact.problem import Compliance, Line
+from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.schedules import Schedules, Table, padded, value
+from ringwear_par.wear.at import LocalState
+from ringwear_par.wear.laws import LayeredLaw, averaging
+from ringwear_par.wear.step import Average, StepWear, Wearing
+
+
+@dataclass(frozen=True)
+class Cases:
+    """The cases of a whole block, by the numbers of their histories."""
+
+    every: tuple[Case, ...]
+    shared = True
+
+
+@dataclass(frozen=True)
+class Block:
+    """Loads, laws, gaps and elasticity of B histories."""
+
+    cases: Cases
+    line: Line
+    compliance: Compliance
+    #: (B,) of the histories, in the whole block
+    number: IntArray
+    #: (B, n) mm, of the unworn faces
+    gap: FloatArray
+    #: N if ``by_force``, else mm
+    load: Schedules
+    by_force: bool
+    #: rad/s, and coefficient
+    omega: Schedules
+    friction: Schedules
+    #: w bodies that wear
+    wearing: tuple[Wearing, ...]
+    #: (B,) mm of wear, to which steps are held
+    tolerance: FloatArray
+    #: (B, m) s, times at which steps end, the last of them repeated, and which states are stored
+    limits: FloatArray
+    stored: BoolArray
+    #: (B,) after how many steps a state is stored, 0 where times say it
+    every: IntArray
+    #: (B,) limits that end histories, by the name of a quantity in ``loop.STOP``
+    stop: dict[str, FloatArray]
+    #: (B, w) mm of wear at most; end elements that must stay free of contact
+    deepest: FloatArray
+    open_ends: tuple[int, ...]
+    #: (w, B, m) factors on the rates of wear in the steps to each limit; None: 1
+    paces: FloatArray | None
+
+    @classmethod
+    def of(
+        cls,
+        cases: Sequence[Case],
+        pairs: Sequence[ContactPair],
+        step_times: Sequence[Sequence[float]] | None = None,
+        paces: Sequence[FloatArray] | None = None,
+    ) -> "Block":
+        """Return the block of cases of one ``block_key`` on the same contact elements.
+
+        Parameters
+        ----------
+        pairs : of each case.
+        step_times : s, ends of the steps of each; None: those of the case.
+        paces : (2, steps) each, factors on the rates of lower and upper in the steps given.
+        """
+        case, different = cases[0], {id(pair): pair for pair in pairs}
+        order = {key: number for number, key in enumerate(different)}
+        line, by_force = Line.of([*different.values()]), case.load.force is not None
+        softness = np.array([[1.0 / c.lower.young, 1.0 / c.upper.young] for c in cases])
+        pair = np.array([order[id(pair)] for pair in pairs])
+        bodies = [i for i, law in enumerate(case.laws) if law is not None]
+        wearing = tuple(_wearing(cases, body, line) for body in bodies)
+        limits = padded(step_times or [_limits(c) for c in cases])
+        stop = [dict(c.stop) for c in cases]
+        loads = [c.load.force if by_force else c.load.displacement for c in cases]
+        return cls(
+            cases=Cases(tuple(cases)),
+            line=line,
+            compliance=Compliance.of(line, pair, softness),
+            number=np.arange(len(cases)),
+            gap=np.array(of_faces(cases, lambda c: c.initial_gap)),
+            load=Schedules.of([0.0 if load is None else load for load in loads]),
+            by_force=by_force,
+            omega=Schedules.of([c.load.omega for c in cases]),
+            friction=Schedules.of([c.friction for c in cases]),
+            wearing=wearing,
+            tolerance=np.array([c.time.tolerance for c in cases]),
+            limits=limits,
+            stored=_stored(cases, limits),
+            every=np.array([c.output.every * _by_steps(c) for c in cases]),
+            stop={k: np.array([s.get(k, np.inf) for s in stop]) for s in stop for k in s},
+            deepest=np.array([[0.5 * np.ptp(c.rings[i].z) for i in bodies] for c in cases]),
+            open_ends=tuple(e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut),
+            paces=None if paces is None else _paces(paces, bodies, limits.shape[1]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.gap)
+
+    @cached_property
+    def layered(self) -> bool:
+        """Whether a body has layers."""
+        return any(len(body.laws) > 1 for body in self.wearing)
+
+    @cached_property
+    def is_local(self) -> bool:
+        """Whether the wear of each element depends on its own pressure alone."""
+        return all(body.average is None for body in self.wearing)
+
+    def worn_gap(self, wear: FloatArray) -> FloatArray:
+        """Return the gaps (B, n) mm of undeformed profiles worn by (w, B, n) mm."""
+        return self.gap + wear.sum(axis=0)
+
+    def both(self, wear: FloatArray) -> FloatArray:
+        """Return the wear, or its rates, of lower and upper, (2, B, n), from those that wear."""
+        both = np.zeros((2, *self.gap.shape))
+        both[[body.body for body in self.wearing]] = wear
+        return both
+
+    def moment(self, p: FloatArray) -> FloatArray:
+        """Return the friction torque over the coefficient of friction, (B,) N mm."""
+        return p @ (self.line.true_area * self.line.r)
+
+    def step_wear(
+        self,
+        layer: IntArray,
+        time: FloatArray,
+        sliding: tuple[FloatArray, FloatArray],
+        wear: FloatArray,
+        step: FloatArray,
+        pace: FloatArray | None = None,
+    ) -> StepWear:
+        """Return the wear of an implicit step, see ``StepWear``.
+
+        Parameters
+        ----------
+        sliding : (B,) rad/s and coefficient of friction.
+        """
+        r, (omega, friction) = self.line.r, sliding
+        speed, slid = omega[:, None] * r, self.omega.integral(time)[:, None] * r
+        at = LocalState(
+            time[:, None], r, speed, friction[:, None], speed, slid, number=self.number[:, None]
+        )
+        return StepWear(self.wearing, layer, at, wear, step, self.line.obliquity, pace)
+
+    def sliding(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return speeds (rad/s) and coefficients of friction at times, (B,)."""
+        return self.omega.at(time), self.friction.at(time)
+
+
+def block_key(case: Case) -> Hashable:
+    """Return the key of cases of the same contact elements that can be in one block."""
+    laws = tuple(None if law is None else law.key for law in case.laws)
+    output = case.output
+    alone = id(case) if case.follows_wear or output.boundary != "none" else 0
+    stored = output.fields, output.profiles, bool(output.times), case.stress
+    return case.time.scheme, case.load.force is not None, laws, *stored, alone
+
+
+def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
+    """Return a number of each case that depends on its unworn faces alone, once for equal ones."""
+    known: dict[Hashable, Any] = {}
+    numbers = []
+    for case in cases:
+        key = (*((ring.r, ring.z, ring.face) for ring in case.rings), case.mesh.contact)
+        if key not in known:
+            known[key] = number(case)
+        numbers.append(known[key])
+    return numbers
+
+
+def _by_steps(case: Case) -> bool:
+    """Tell whether states are stored by the number of steps."""
+    return not case.output.times
+
+
+def _limits(case: Case) -> list[float]:
+    """Return the times at which steps of a case end."""
+    time = case.time
+    if not time.adaptive:
+        return (time.step * np.arange(1, time.steps + 1)).tolist()
+    limits: list[float] = []
+    for t in sorted({*case.breakpoints, *case.output.times, time.end}):
+        if 0.0 < t <= time.end and not (limits and t - limits[-1] <= SAME_TIME * t):
+            limits.append(t)
+    return [*limits[:-1], time.end]
+
+
+def _stored(cases: Sequence[Case], limits: FloatArray) -> BoolArray:
+    """Return which of the limits are times of output, (B, m)."""
+    stored = np.zeros(limits.shape, bool)
+    for row, case in enumerate(cases):
+        for time in case.output.times:
+            stored[row] |= np.abs(limits[row] - time) <= SAME_TIME * time
+    return stored
+
+
+def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> FloatArray:
+    """Return factors on the rates of bodies in all steps, (w, B, m)."""
+    wide = [np.pad(pace, ((0, 0), (0, count - pace.shape[1])), mode="edge") for pace in paces]
+    return np.array(wide).swapaxes(0, 1)[list(bodies)]
+
+
+def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
+    """Return the laws of a body of all cases, layer by layer."""
+    every = [c.laws[body] for c in cases]
+    layers = [law.laws if isinstance(law, LayeredLaw) else (law,) for law in every]
+    columns = [*zip(*layers, strict=True)]
+    none = np.full((1, len(line.r)), np.inf)
+    ends = [np.concatenate([c.layer_ends(body), none]) if len(columns) > 1 else none for c in cases]
+    first, length = [column[0] for column in columns], every[0].length
+    average = averaging(line.r, line.true_area, length) if length else None
+    return Wearing(
+        body,
+        tuple(law.function for law in first),
+        tuple(
+            {
+                name: _stacked([law.arguments[name] for law in column], line.r)
+                for name in column[0].arguments
+            }
+            for column in columns
+        ),
+        tuple(law.linear for law in first),
+        tuple(law.remembers for law in first),
+        np.array(ends).swapaxes(0, 1).copy(),
+        np.array([law.ratios(c.friction) for law, c in zip(every, cases, strict=True)]),
+        None if average is None else Average(average),
+    )
+
+
+def _stacked(quantities: Sequence[Any], r: FloatArray) -> FloatArray | Schedules:
+    """Return what a law takes of all cases: (B, 1); (B, n) or more of profiles; schedules."""
+    first = quantities[0]
+    if any(isinstance(q, Table) and q.axis == "r" for q in quantities):
+        return np.array([np.broadcast_to(value(q, 0.0, r), r.shape) for q in quantities])
+    if isinstance(first, np.ndarray):
+        return np.array(quantities)
+    schedules = Schedules.of(quantities)
+    return schedules.y if schedules.constant else schedules

@@ -1,0 +1,197 @@
+"""What stored states are checked for: balances, and what makes an answer doubtful, at its worst.
+
+Sentences are for the end, see ``results.warnings``.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, relative
+from ringwear_par.elasticity.mesh import case_slopes
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.history.block import Block
+from ringwear_par.history.layers import layer_volumes
+from ringwear_par.history.loop import Instant
+from ringwear_par.history.state import State
+
+#: fewer elements in contact than this do not resolve it
+FEW_ELEMENTS = 10
+#: largest angle (degrees) between faces that touch
+MOST_ANGLE = 15.0
+#: relative difference of two values of a measure that are the same
+_ROUND_OFF = 1e-9
+#: numbers of a measure: value, time (s), and up to four that tell where it was
+ENTRIES = 6
+
+
+@dataclass(frozen=True)
+class Balances:
+    """Relative defects of balances, and the error of time steps.
+
+    Force and energy hold to the accuracy of the contact solver; torque and reaction vanish with the
+    mesh, the step error with the steps.
+    """
+
+    #: contact pressure against the applied force (0 at given displacement)
+    force: float = 0.0
+    #: torque on the fixed faces against the friction torque, the worse of both bodies
+    torque: float = 0.0
+    #: axial force on the fixed faces against that of the contact pressure, the worse of both bodies
+    reaction: float = 0.0
+    #: worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers what
+    #: the volumes of all of them took of it
+    energy: float = 0.0
+    #: natural residual of the contact, eq. (3) as collocated, over the largest pressure
+    residual: float = 0.0
+    #: mm, the error of wear that steps are estimated to make over the history
+    step_error: float = 0.0
+
+
+#: the balances that hold on any mesh, by any steps
+_EXACT = ("force", "energy", "residual")
+_NAMES = [declared.name for declared in fields(Balances)]
+
+
+def force_measure(count: int) -> str:
+    """Return the name of a measure: the largest force (N) on so few elements in contact."""
+    return f"force_on_{count}"
+
+
+def worn_share(body: int, layer: int) -> str:
+    """Return the name of a measure: the share of a layer that is worn off, meant by load."""
+    return f"worn_share_{BODIES[body]}.layers[{layer}]"
+
+
+class Worst:
+    """The largest value of each measure of B histories so far, with its time and place.
+
+    Measures are the balances; the approach (mm), the larger of approach and depths of wear (mm),
+    the force (N), the mean pressure on the elements in contact (MPa), where they are enough to tell
+    it; the force on few elements, see ``force_measure``; the asymmetry of the compliance; the share
+    of the load between faces of unlike slopes, with the radius (mm) where it is largest and the
+    angles there of lower, of upper and of the pressure (degrees); and shares of worn layers.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        #: (ENTRIES, B) each, by name
+        self.measures: dict[str, FloatArray] = {}
+
+    def __call__(self, instant: Instant) -> None:
+        """Take new states."""
+        block, state = instant.block, instant.state
+        for name, values in {**balances(block, state), **_measures(block, state)}.items():
+            value, *place = values if isinstance(values, tuple) else (values,)
+            measure = self.measures.setdefault(name, np.zeros((ENTRIES, self._count)))
+            value = np.broadcast_to(value, len(block))
+            # by more than round-off, which would choose the time of what is constant; NaN too
+            worse = ~(value <= measure[0, block.number] * (1.0 + _ROUND_OFF))
+            for entry, column in enumerate((value, state.time, *place)):
+                measure[entry, block.number[worse]] = column[worse]
+
+    def restore(self, before: Mapping[str, Sequence[float]]) -> None:
+        """Take the measures that an interrupted single history had."""
+        for name, values in before.items():
+            self.measures[name] = np.array(values)[:, None]
+
+    def balances(self, number: int = 0) -> Balances:
+        """Return the worst balances of one history."""
+        values = {name: float(self.measures[name][0, number]) for name in _NAMES}
+        return Balances(**values)
+
+    @property
+    def imbalance(self) -> FloatArray:
+        """(B,) the worst of the balances that hold on any mesh, by any steps."""
+        none = np.zeros((ENTRIES, self._count))
+        return np.max([self.measures.get(name, none)[0] for name in _EXACT], axis=0)
+
+
+def balances(block: Block, state: State) -> dict[str, Any]:
+    """Return the defects of states, see ``Balances``, (B,) each or 0."""
+    p, line, pair = state.pressure, block.line, block.compliance.pair
+    force = p @ line.area
+    friction = block.moment(p)
+    elements = line.pairs[0].line
+    turning = elements.arm / elements.uniform_arm  # tractions are constant on elements
+    carried = np.empty((4, len(p)))
+    for number, of in enumerate(line.pairs):
+        weights = np.array([*of.force_reaction, *(of.torque_reaction * turning)])
+        carried[:, pair == number] = weights @ p[pair == number].T
+    lower, upper, turned_lower, turned_upper = carried
+    asked = block.load.at(state.time) if block.by_force else force
+    gap = block.compliance.gap(block.worn_gap(state.wear), p, state.approach)
+    return {
+        "force": _defect(force, asked),
+        "torque": np.maximum(_defect(turned_lower, friction), _defect(turned_upper, friction)),
+        "reaction": np.maximum(_defect(lower, force), _defect(upper, force)),
+        "energy": _energy_defect(block, state) if block.paces is None else 0.0,
+        "residual": block.compliance.residual(gap, p),
+        "step_error": state.error,
+    }
+
+
+def _energy_defect(block: Block, state: State) -> Any:
+    """Return how far the energy is off what the worn volumes took of it, (B,).
+
+    0 where a law has no fixed volume by energy.
+    """
+    defect: Any = 0.0
+    for body, wear in zip(block.wearing, state.wear, strict=True):
+        ratios = body.per_energy
+        known = (ratios > 0.0).all(axis=1)
+        if known.any():
+            took = layer_volumes(block.line.area, body.ends, wear)
+            took = np.divide(took, ratios, out=np.zeros_like(took), where=ratios > 0.0).sum(axis=1)
+            defect = np.maximum(defect, np.where(known, _defect(took, state.energy), 0.0))
+    return defect
+
+
+def _defect(value: Any, exact: Any) -> Any:
+    """Return |value - exact| / exact, 0 where nothing is expected."""
+    return relative(abs(value - exact), exact)
+
+
+def _measures(block: Block, state: State) -> dict[str, Any]:
+    """Return the measures of states, (B,) each, or tuples of these and their places."""
+    p, wear, area = state.pressure, state.wear, block.line.area
+    n, bearing = p.shape[1], p > 0.0
+    count, force = np.count_nonzero(bearing, axis=1), p @ area
+    enough, touching = count >= min(FEW_ELEMENTS, n), bearing @ area
+    case = block.cases.every[0]
+    measures = {
+        "approach": state.approach,
+        "moved": np.max([state.approach, *wear.max(axis=2, initial=0.0)], axis=0),
+        "force": force,
+        "mean_pressure": np.divide(force, touching, out=np.zeros_like(force), where=enough),
+    }
+    if not state.time.any():  # it stays, but where elements follow the wear
+        measures["asymmetry"] = block.compliance.asymmetry
+    for few in np.unique(count[~enough & (count > 0)]).tolist():
+        measures[force_measure(few)] = np.where(count == few, force, 0.0)
+    if any(ring.face for ring in case.rings):  # wear alone slopes faces apart
+        measures["unlike_slopes"] = _unlike_slopes(block, p, wear)
+    for body, worn in zip(block.wearing, wear, strict=True):
+        starts = np.concatenate([np.zeros_like(body.ends[:1]), body.ends[:-1]])
+        for layer, (start, end) in enumerate(zip(starts, body.ends[:-1], strict=False)):
+            if not case.follows_wear:
+                share = ((np.clip(worn, start, end) - start) / (end - start) * area * p).sum(axis=1)
+                measures[worn_share(body.body, layer)] = relative(share, force)
+    return measures
+
+
+def _unlike_slopes(block: Block, p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the share of the load between faces of unlike slopes, and where; see ``Worst``.
+
+    Slopes are those of the faces now, and the one along whose normal elements have the pressure.
+    """
+    case, pair = block.cases.every[0], block.line.pairs[0]
+    lower, upper = case_slopes(case.sections, pair.line, case.mesh, block.both(wear))
+    slopes = np.stack([lower, upper, np.broadcast_to(pair.slope, lower.shape)])
+    angles = np.degrees(np.arctan(slopes))  # (3, B, n)
+    load = block.line.area * p
+    apart = np.where(np.ptp(angles, axis=0) > MOST_ANGLE, load, 0.0)
+    rows, e = np.arange(len(p)), apart.argmax(axis=1)
+    return relative(apart.sum(axis=1), load.sum(axis=1)), block.line.r[e], *angles[:, rows, e]

@@ -1,1 +1,0 @@
-"""Contact pairs and compliances of cases."""

@@ -1,0 +1,99 @@
+"""Why histories of a block cannot go on, each in one sentence."""
+
+import numpy as np
+
+from ringwear_par.cases.plausible import wear_question
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.errors import ComputationError, UnfitError
+from ringwear_par.history.block import Block
+from ringwear_par.history.schemes import Solver
+from ringwear_par.history.state import State, Step
+from ringwear_par.wear.laws import LayeredLaw
+
+
+def _laws(block: Block) -> list[object]:
+    """Return the laws that compute the rates of a block."""
+    laws: list[object] = []
+    for law in block.cases.every[0].laws:
+        laws += law.laws if isinstance(law, LayeredLaw) else [law]
+    return laws
+
+
+def forget_faults(block: Block) -> None:
+    """Let laws of users forget what they did wrong in other blocks."""
+    for law in _laws(block):
+        getattr(law, "faults", {}).clear()
+
+
+def _law_fault(block: Block, row: int) -> str:
+    """Return what a user's law did wrong in a history, "" for nothing."""
+    number = int(block.number[row])
+    faults = (getattr(law, "faults", {}).get(number, "") for law in _laws(block))
+    return next(filter(None, faults), "")
+
+
+def contact_failure(block: Block, row: int) -> ComputationError:
+    """Return why a history has no contact before any wear."""
+    why = _law_fault(block, row) or "contact: is not solved"
+    return ComputationError(f"{why}; in step 0, before any wear")
+
+
+def step_failure(
+    block: Block, state: State, step: Step, row: int, share: float | None
+) -> ComputationError:
+    """Return why no step of a history is short enough."""
+    case = block.cases.every[int(block.number[row])]
+    if fault := _law_fault(block, row):
+        why = fault
+    elif step.failed[row]:
+        why = "contact: is not solved, and no step is short enough"
+    elif step.too_far[row]:
+        why = "no step ends where an element comes to the end of its layer"
+    elif not np.isfinite(step.error[row]).all():
+        why = "the estimated error of the step is not a number, and no step is short enough"
+    else:
+        why = (
+            f"errors exceed {case.time.tolerance:g} mm (time.tolerance; try a larger one), and no "
+            "step is short enough"
+        )
+    where = f"in step {int(state.steps[row]) + 1}, from time {state.time[row]:g} s"
+    return ComputationError(f"{why}; {where}")
+
+
+def deep_wear_failure(block: Block, state: State, row: int) -> ComputationError:
+    """Return why a state does not hold: wear is too deep, or contact at an end of the mesh."""
+    case, time = block.cases.every[int(block.number[row])], state.time[row]
+    where = f"; in step {int(state.steps[row]) + 1}"
+    for body, wear, most in zip(block.wearing, state.wear, block.deepest[row], strict=True):
+        if (deepest := wear[row].max()) > most:
+            name = BODIES[body.body]
+            return ComputationError(
+                f"time {time:g} s: {deepest:.4g} mm are worn off {name}, more than half of its "
+                f"height{wear_question(case, name)}{where}"
+            )
+    e = next(e for e in block.open_ends if state.pressure[row, e] > 0.0)
+    return ComputationError(
+        f"time {time:g} s: contact has reached the end of mesh.contact at "
+        f"r = {case.line.edges[e]:g} mm; mesh.contact must be wider there{where}"
+    )
+
+
+def interpenetration(block: Block, solver: Solver) -> dict[int, Exception]:
+    """Return which undeformed bodies overlap by more than the largest force presses them."""
+    if not block.by_force or not (block.gap < 0.0).any():
+        return {}
+    cases = block.cases.every
+    overlaps = np.array([case.interpenetration for case in cases])
+    if not overlaps.any():
+        return {}
+    p, zero = np.zeros_like(block.gap), np.zeros(len(block))
+    approach = solver.solve(block.gap, block.load.y.max(axis=1), None, p, zero).approach
+    failures: dict[int, Exception] = {}
+    for i in np.flatnonzero((overlaps > 0.0) & (approach < 0.0)).tolist():
+        e = int(block.gap[i].argmin())
+        failures[i] = UnfitError(
+            f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
+            f"{overlaps[i]:.6g} mm at element {e} (r = {block.line.r[e]:.6g} mm); must be at most "
+            f"the {overlaps[i] + approach[i]:.6g} mm that the load presses them together"
+        )
+    return failures

@@ -1,0 +1,117 @@
+"""Elements that follow the wear: when they are meshed anew, and the block and state after it."""
+
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.contact.problem import Compliance, Line
+from ringwear_par.contact.tao import TaoContact
+from ringwear_par.elasticity.bem.body import BodyCost
+from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.errors import ComputationError
+from ringwear_par.history.block import Block
+from ringwear_par.history.elastic import updated_geometry
+from ringwear_par.history.schemes import rates_at
+from ringwear_par.history.state import State
+from ringwear_par.wear.laws import averaging
+from ringwear_par.wear.step import Average
+
+
+class Following:
+    """The elasticity of a case whose elements follow the wear. Methods are collective on comm."""
+
+    def __init__(self, case: Case, comm: MPI.Comm) -> None:
+        self._tolerance = case.mesh.geometry_tolerance
+        self._geometry = updated_geometry(case, comm)
+        #: (2, n) mm, wear of the profiles that the elements are meshed on
+        self._meshed = np.zeros((2, case.line.n))
+        self.pair = self._geometry.update(self._meshed)
+        #: how often elements were assembled anew, and the time and memory of it
+        self.updates, self.cost = 0, BodyCost()
+
+    def follow(
+        self, block: Block, solver: TaoContact, state: State
+    ) -> tuple[Block, TaoContact, State]:
+        """Return block, solver and state of elements that have followed the wear of a state.
+
+        Only if the wear since then is more than ``mesh.geometry_tolerance``. It depends on the
+        state alone, so that a restarted history does the same.
+
+        Raises
+        ------
+        ComputationError : the worn bodies cannot be computed.
+        """
+        if state.meshed is None or state.offset is None:
+            state = replace(
+                state, meshed=np.zeros_like(state.wear), offset=np.zeros_like(block.gap)
+            )
+        assert state.meshed is not None
+        assert state.offset is not None
+        block = self._meshed_on(block, state.meshed, state.offset)
+        if np.abs(state.wear - state.meshed).max(initial=0.0) <= self._tolerance:
+            return block, solver.with_compliance(block.compliance), state
+        before, slope = block.compliance.matrix(0), self.pair.slope
+        block, self.updates = self._meshed_on(block, state.wear, state.offset), self.updates + 1
+        # where a slope has turned, the displacement along the axis under the present pressure
+        # jumps, though nothing has moved: the offset takes this jump out of the gap
+        jump = state.pressure @ (block.compliance.matrix(0) - before).T
+        turned = np.where(self.pair.slope != slope, jump, 0.0)
+        block, offset = replace(block, gap=block.gap - turned), state.offset + turned
+        # the rates at the start of the next step are to be those of the new elasticity
+        solver = solver.with_compliance(block.compliance)
+        p, d, failed, _ = solver.solve(
+            block.worn_gap(state.wear), block.load.at(state.time), None, state.pressure,
+            state.approach,
+        )  # fmt: skip
+        if failed.any():
+            raise ComputationError("contact: is not solved with the worn geometry")
+        rates = rates_at(block, state.layer, state.time, state.wear, p)
+        return block, solver, replace(
+            state, meshed=state.wear, offset=offset, pressure=p, approach=d, rates=rates
+        )  # fmt: skip
+
+    def _meshed_on(self, block: Block, wear: FloatArray, offset: FloatArray) -> Block:
+        """Return the block of elements on profiles that are worn, (w, 1, n) mm."""
+        both = block.both(wear)[:, 0]
+        if np.array_equal(both, self._meshed):
+            return block
+        case = block.cases.every[0]
+        try:
+            self.pair = self._geometry.update(both)
+        except ComputationError as error:
+            raise ComputationError(_slivers(case.line, both) or str(error)) from error
+        self._meshed, self.cost = both, self.cost + self.pair.cost
+        line = Line.of([self.pair])
+        bodies = tuple(
+            body if body.average is None else replace(
+                body, average=Average(averaging(line.r, line.true_area, case.laws[body.body].length))  # type: ignore[union-attr]  # noqa: E501
+            )
+            for body in block.wearing
+        )  # fmt: skip
+        return replace(
+            block,
+            line=line,
+            compliance=Compliance.of(line, block.compliance.pair, block.compliance.softness),
+            gap=case.initial_gap[None] - offset,
+            wearing=bodies,
+        )
+
+
+def _slivers(line: ContactLine, wear: FloatArray) -> str:
+    """Return where a worn face stands out by more than elements are wide; "" for nowhere."""
+    rises = np.abs(np.diff(wear, axis=-1))
+    steep = rises / np.minimum(line.width[1:], line.width[:-1])
+    body, e = np.unravel_index(steep.argmax(), steep.shape)
+    if steep[body, e] <= 1.0:
+        return ""
+    less, more = sorted((e, e + 1), key=lambda place: wear[body, place])
+    return (
+        f"elements that follow the wear: {('lower', 'upper')[body]} is worn by "
+        f"{wear[body, more]:.4g} mm at r = {line.r[more]:.6g} mm and by "
+        f"{wear[body, less]:.4g} mm at r = {line.r[less]:.6g} mm beside it; what stands out "
+        f"by {steep[body, e]:.2g} times the width of an element is no face that can be computed"
+        ': mesh.geometry = "fixed", or laws of wear that differ less, must be used'
+    )

@@ -1,1 +1,0 @@
-"""What looks at histories: balances, validity, stresses, boundaries."""

@@ -1,0 +1,158 @@
+"""Time schemes: functions that make one step of B histories, to ends of their own.
+
+``scheme(block, solver, state, end, pace) -> Step``. Elements stay in their layers throughout a
+step; ``pace`` (w, B) are factors on the rates of wear in it, None for 1.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.contact.block import BlockSolver
+from ringwear_par.contact.problem import Contact
+from ringwear_par.contact.tao import TaoContact
+from ringwear_par.history.block import Block
+from ringwear_par.history.state import State, Step, step_of
+
+Solver = BlockSolver | TaoContact
+Scheme = Callable[[Block, Solver, State, FloatArray, FloatArray | None], Step]
+
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+#: weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
+_WEIGHTS = np.array([0.0, 1.0 - GAMMA, GAMMA])
+_START, _STAGE = 0.5 - 1.0 / (6.0 * GAMMA), 1.0 / (6.0 * GAMMA * (1.0 - GAMMA))
+_DEFECT = np.array([_START, _STAGE, 1.0 - _START - _STAGE]) - _WEIGHTS
+#: error of the depth of an element that came into contact, over its displacement or its wear
+_ENTRY = 0.05
+
+
+def sdirk2(
+    block: Block, solver: Solver, state: State, end: FloatArray, pace: FloatArray | None
+) -> Step:
+    """Two implicit stages, L-stable and of second order; their embedded error, filtered once.
+
+    Alexander, SIAM J. Numer. Anal. 14 (1977) 1006-1021.
+    """
+    h, wear, p, d = end - state.time, state.wear, state.pressure, state.approach
+    times = state.time, state.time + GAMMA * h, end
+    sliding = [block.sliding(t) for t in times]
+    rates, moments = [_paced(state.rates, pace)], [block.moment(p)]
+    failed, iterations = np.zeros(len(block), bool), state.iterations
+    for t, slide, share in zip(times[1:], sliding[1:], ((1.0 - GAMMA) / GAMMA, 1.0), strict=True):
+        stage = block.step_wear(state.layer, t, slide, wear, GAMMA * h, pace)
+        p, d, lost, more = solver.solve(block.worn_gap(wear), block.load.at(t), stage, p, d)
+        depths = stage.depths(p)
+        wear = wear + (depths if share == 1.0 else share * depths)
+        rates.append(depths / (GAMMA * h)[:, None])
+        moments.append(block.moment(p))
+        failed, iterations = failed | lost, iterations + more
+    error = sum(c * rate.sum(axis=0) for c, rate in zip(_DEFECT, rates, strict=True)) * h[:, None]
+    error = np.abs(solver.filtered(error, stage, p))
+    entered = (state.pressure <= 0.0) & (p > 0.0)
+    if entered.any():  # at some time within the step, which the stages do not know
+        elastic, worn = block.compliance.diagonal * p, depths.sum(axis=0)
+        error += np.where(entered, _ENTRY * elastic * worn / (elastic + worn + 1e-300), 0.0)
+    works = np.array([omega * m for (omega, _), m in zip(sliding, moments, strict=True)])
+    powers = works * np.array([friction for _, friction in sliding])
+    after = replace(
+        state,
+        time=end,
+        energy=state.energy + h * (_WEIGHTS @ powers),
+        normal_work=state.normal_work + h * (_WEIGHTS @ works),
+        wear=wear,
+        rates=rates[-1] if pace is None else rates[-1] / pace[..., None],
+        pressure=p,
+        approach=d,
+        iterations=iterations,
+    )
+    return step_of(after, error, h * np.abs(_DEFECT @ powers), powers.max(axis=0), failed)
+
+
+def implicit(
+    block: Block, solver: Solver, state: State, end: FloatArray, pace: FloatArray | None
+) -> Step:
+    """The pressure at the end of a step wears throughout it (backward Euler)."""
+    h, sliding = end - state.time, _mean_sliding(block, state, end)
+    stage = block.step_wear(state.layer, end, sliding, state.wear, h, pace)
+    gap = block.worn_gap(state.wear)
+    contact = solver.solve(gap, block.load.at(end), stage, state.pressure, state.approach)
+    depths, p = stage.depths(contact.pressure), contact.pressure
+    rates = rates_at(block, state.layer, end, state.wear + depths, p)
+    return _first_order(block, state, end, depths, rates, p, contact, sliding)
+
+
+def explicit(
+    block: Block, solver: Solver, state: State, end: FloatArray, pace: FloatArray | None
+) -> Step:
+    """The pressure at the start of a step wears throughout it, eq. (6) of the paper."""
+    h, sliding, p = end - state.time, _mean_sliding(block, state, end), state.pressure
+    now = block.step_wear(state.layer, state.time, sliding, state.wear, h, pace)
+    depths = h[:, None] * _paced(now.rates(p), pace)
+    wear = state.wear + depths
+    contact = solver.solve(block.worn_gap(wear), block.load.at(end), None, p, state.approach)
+    rates = rates_at(block, state.layer, end, wear, contact.pressure)
+    return _first_order(block, state, end, depths, rates, p, contact, sliding)
+
+
+def _paced(rates: FloatArray, pace: FloatArray | None) -> FloatArray:
+    return rates if pace is None else rates * pace[..., None]
+
+
+def _mean_sliding(block: Block, state: State, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return block.omega.mean(state.time, end), block.friction.mean(state.time, end)
+
+
+def _first_order(
+    block: Block,
+    state: State,
+    end: FloatArray,
+    depths: FloatArray,
+    rates: FloatArray,
+    wearing: FloatArray,
+    contact: Contact,
+    sliding: tuple[FloatArray, FloatArray],
+) -> Step:
+    """Return a step in which one pressure, ``wearing``, wears throughout; (B, n) MPa."""
+    h, (omega, friction) = end - state.time, sliding
+    work = omega * block.moment(wearing)
+    after = replace(
+        state,
+        time=end,
+        energy=state.energy + h * friction * work,
+        normal_work=state.normal_work + h * work,
+        wear=state.wear + depths,
+        rates=rates,
+        pressure=contact.pressure,
+        approach=contact.approach,
+        iterations=state.iterations + contact.iterations,
+    )
+    error = np.abs((rates - state.rates).sum(axis=0)) * (0.5 * h)[:, None]
+    return step_of(after, error, np.zeros_like(h), friction * work, contact.failed)
+
+
+def rates_at(
+    block: Block, layer: IntArray, time: FloatArray, wear: FloatArray, p: FloatArray
+) -> FloatArray:
+    """Return rates of wear at an instant, (w, B, n) mm/s, at pace 1."""
+    ones = np.ones_like(time)
+    return block.step_wear(layer, time, block.sliding(time), wear, ones).rates(p)
+
+
+def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
+    """Return the contacts before any wear, and which failed."""
+    count = len(block)
+    zero, p, none = np.zeros(count), np.zeros_like(block.gap), np.zeros(count, np.int64)
+    wear = np.zeros((len(block.wearing), *p.shape))
+    p, d, failed, iterations = solver.solve(block.gap, block.load.at(zero), None, p, zero)
+    layer = np.zeros(wear.shape, np.int64)
+    for i, body in enumerate(block.wearing):
+        layer[i] = (body.ends <= 0.0).sum(axis=0)
+    rates, never = rates_at(block, layer, zero, wear, p), np.full(count, np.inf)
+    state = State(
+        zero, zero, zero, wear, rates, layer, p, d, d, np.full((count, 2), np.inf),
+        none, iterations, zero, zero, never,
+    )  # fmt: skip
+    return state, failed

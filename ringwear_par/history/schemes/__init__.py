@@ -1,1 +1,0 @@
-"""Schemes of time steps: one step and its error."""
