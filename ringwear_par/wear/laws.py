@@ -102,7 +102,8 @@ def power(p: FloatArray, at: LocalState, k: FloatArray, m: FloatArray, n: FloatA
     apart, and k on a logarithmic scale.
     """
     p = np.maximum(p, 0.0)  # trials of solvers may be negative
-    slope = (k * at.speed**n) * p ** (m - 1.0)
+    speed = at.speed if np.all(n == 1.0) else at.speed**n
+    slope = (k * speed) * p ** (m - 1.0)
     return p * slope, m * slope
 
 

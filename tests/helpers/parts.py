@@ -65,7 +65,7 @@ PLACES = {
     "studies.sweep": "run_sweep",
     "studies.together": "computed",
     "studies.pictures.plot": "plot_stored",
-    "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging",
+    "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging threshold",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}
 
