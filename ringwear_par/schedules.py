@@ -1,4 +1,4 @@
-"""Quantities of a case: numbers, tables in time, or profiles along the radius; of many histories."""
+"""Quantities of a case: numbers, tables in time, profiles along the radius; of many histories."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -115,7 +115,8 @@ def value(quantity: Quantity, time: Any, r: FloatArray | None = None) -> Any:
     """Return a quantity at a time, or times (s), and at radii (mm) where it is a profile."""
     if not isinstance(quantity, Table):
         return quantity
-    return quantity(time if quantity.axis == "t" else r)
+    x: Any = time if quantity.axis == "t" else r
+    return quantity(x)
 
 
 def in_time(quantity: Quantity, time: Any) -> Any:

@@ -22,7 +22,7 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic import assemble
-from ringwear_par.history.start import first_contact
+from ringwear_par.history.loop import first_contact
 from ringwear_par.parallel import together
 from ringwear_par.results.simulate import simulate
 from ringwear_par.wear.laws import LAWS
@@ -111,8 +111,8 @@ def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
             Mesh(64, grading=1.0), Output(),
         )  # fmt: skip
         contact, inside = first_contact(case, comm), case.line.r < 0.5
-        forces.append(contact.force)
-        squares = np.polyfit(case.line.r[inside] ** 2, contact.pressure[inside] ** 2, 1)
+        forces.append(contact.pressure[0] @ case.line.area)
+        squares = np.polyfit(case.line.r[inside] ** 2, contact.pressure[0, inside] ** 2, 1)
         peaks.append(math.sqrt(squares[1]))  # p^2 is linear in r^2
     computed = 2.0 * np.array([forces[1], peaks[1]]) - np.array([forces[0], peaks[0]])
     force = 4.0 / 3.0 * modulus * math.sqrt(radius) * approach**1.5

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.batched import take
-from ringwear_par.contact import _rows
+from ringwear_par.contact import _rows  # type: ignore[attr-defined]
 from ringwear_par.contact.problem import Compliance, Contact
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.wear.step import StepWear

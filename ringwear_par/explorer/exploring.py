@@ -14,11 +14,9 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.explorer.controls import Control, controls_of
 from ringwear_par.explorer.moved_keys import changed_keys
 from ringwear_par.files.text import toml_text
-from ringwear_par.history.elastic import operator_key
-from ringwear_par.history.elastic import assemble
-from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.refusals.cases import check_case
-from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.elastic import assemble, operator_key
+from ringwear_par.history.loop import Instant, simulate_one
+from ringwear_par.history.refusals import check_case
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
 
@@ -90,14 +88,16 @@ class Exploration:
             pair = self._pair
         stopped = False
 
-        def observe(snapshot: Snapshot) -> bool:
+        recorder = Recorder([drawn], self._comm, pair_is_shared=pair is not None)
+
+        def save(instant: Instant) -> bool:
             nonlocal stopped
-            done = float(snapshot.state.time[0]) / drawn.time.end
-            stopped = not snapshot.finished[0] and stops(done)
+            recorder(instant)
+            done = float(instant.state.time[0]) / drawn.time.end
+            stopped = not instant.ended[0] and stops(done)
             return stopped
 
-        recorder = Recorder([drawn], self._comm)
-        simulate_one(drawn, self._comm, pair=pair, observers=[recorder, observe])
+        simulate_one(drawn, self._comm, save, pair=pair, every=True)
         if stopped:
             return None
         return Explored(toml_text(keys), case, controls, recorder.result())

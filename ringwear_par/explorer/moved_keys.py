@@ -13,7 +13,7 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.explorer.controls import Control
 from ringwear_par.files.text import read_text
-from ringwear_par.history.refusals.cases import check_case
+from ringwear_par.history.refusals import check_case
 
 _PROFILES = ("lower.profile", "upper.profile")
 _FILES = ("wear.lower.file", "wear.upper.file", *(f"{table}.file" for table in _PROFILES))

@@ -56,6 +56,8 @@ class Block:
     #: (B, w) mm of wear at most; end elements that must stay free of contact
     deepest: FloatArray
     open_ends: tuple[int, ...]
+    #: whether steps go from limit to limit, whatever their errors
+    given_steps: bool
     #: (w, B, m) factors on the rates of wear in the steps to each limit; None: 1
     paces: FloatArray | None
 
@@ -103,6 +105,7 @@ class Block:
             stop={k: np.array([s.get(k, np.inf) for s in stop]) for s in stop for k in s},
             deepest=np.array([[0.5 * np.ptp(c.rings[i].z) for i in bodies] for c in cases]),
             open_ends=tuple(e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut),
+            given_steps=step_times is not None or not case.time.adaptive,
             paces=None if paces is None else _paces(paces, bodies, limits.shape[1]),
         )
 
@@ -162,7 +165,7 @@ class Block:
 
 def block_key(case: Case) -> Hashable:
     """Return the key of cases of the same contact elements that can be in one block."""
-    laws = tuple(None if law is None else law.key for law in case.laws)
+    laws = tuple(law and law.key for law in case.laws)
     output = case.output
     alone = id(case) if case.follows_wear or output.boundary != "none" else 0
     stored = output.fields, output.profiles, bool(output.times), case.stress
@@ -215,7 +218,7 @@ def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> Fl
 
 def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
     """Return the laws of a body of all cases, layer by layer."""
-    every = [c.laws[body] for c in cases]
+    every: list[Any] = [c.laws[body] for c in cases]
     layers = [law.laws if isinstance(law, LayeredLaw) else (law,) for law in every]
     columns = [*zip(*layers, strict=True)]
     none = np.full((1, len(line.r)), np.inf)

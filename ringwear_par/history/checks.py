@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, relative
+from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.block import Block
@@ -169,6 +170,8 @@ def _measures(block: Block, state: State) -> dict[str, Any]:
     }
     if not state.time.any():  # it stays, but where elements follow the wear
         measures["asymmetry"] = block.compliance.asymmetry
+        if SCHEMES[case.time.scheme].explicit:
+            measures["instability"] = instability(block, state)
     for few in np.unique(count[~enough & (count > 0)]).tolist():
         measures[force_measure(few)] = np.where(count == few, force, 0.0)
     if any(ring.face for ring in case.rings):  # wear alone slopes faces apart
@@ -180,6 +183,31 @@ def _measures(block: Block, state: State) -> dict[str, Any]:
                 share = ((np.clip(worn, start, end) - start) / (end - start) * area * p).sum(axis=1)
                 measures[worn_share(body.body, layer)] = relative(share, force)
     return measures
+
+
+def instability(block: Block, state: State) -> tuple[FloatArray, FloatArray]:
+    """Return steps of the explicit scheme over the largest stable ones, and these, (B,) 1 and s.
+
+    2 / lambda_max(W C^-1) while all is in contact, of the slopes W of the rates of both bodies under
+    the largest load, speed and friction of each history.
+    """
+    largest, zero = state.pressure.max(axis=1), np.zeros(len(block))
+    if block.by_force:
+        load = block.load.at(zero)
+        largest = largest * np.divide(
+            block.load.y.max(axis=1), load, out=zero + 1.0, where=load > 0
+        )
+    sliding = block.omega.y.max(axis=1), block.friction.y.max(axis=1)
+    wear = block.step_wear(state.layer, zero, sliding, state.wear, zero + 1.0)
+    slope = wear.lines(np.tile(largest[:, None], block.gap.shape[1]))[1].sum(axis=0)
+    steps = np.array([block.cases.every[i].time.step for i in block.number.tolist()])
+    rates = [
+        np.linalg.eigvals(np.linalg.solve(block.compliance.matrix(row), np.diag(slopes))).real.max()
+        for row, slopes in enumerate(slope)
+    ]
+    with np.errstate(divide="ignore"):
+        stable = 2.0 / np.array(rates)
+    return steps / stable, stable
 
 
 def _unlike_slopes(block: Block, p: FloatArray, wear: FloatArray) -> tuple[FloatArray, ...]:

@@ -12,15 +12,15 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.history.elastic import assemble
-from ringwear_par.options import contact_solver
 from ringwear_par.batched import choose, take
+from ringwear_par.cases.case import Case
 from ringwear_par.contact.block import BlockSolver
+from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.block import Block
 from ringwear_par.history.control import first_length, judge, next_ends, step_error, step_share
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.failures import (
     contact_failure,
     deep_wear_failure,
@@ -32,6 +32,7 @@ from ringwear_par.history.following import Following
 from ringwear_par.history.layers import enter_layers
 from ringwear_par.history.schemes import Scheme, Solver, explicit, implicit, sdirk2, start
 from ringwear_par.history.state import State
+from ringwear_par.options import contact_solver
 from ringwear_par.parallel import as_on_first_rank
 
 #: error of gaps in contact, over the tolerance of wear
@@ -92,21 +93,26 @@ def simulate(
     Parameters
     ----------
     save : is called with the states that are stored; with ``every`` after each step.
-    solver : of the contacts; None: a ``BlockSolver``.
+    solver : of the contacts; None: a ``BlockSolver``, where it serves.
     first : where an interrupted history continues; None: they start.
     following : elements that follow the wear, of a block of one.
     """
+    if solver is None and not (block.is_local and following is None):
+        with TaoContact(block.compliance, block.by_force) as tao:
+            return simulate(
+                block, save, solver=tao, first=first, following=following, every=every, comm=comm
+            )
     case = block.cases.every[0]
     scheme = _SCHEMES[case.time.scheme]
-    share = step_share(block) if case.time.adaptive and block.paces is None else None
+    share = step_share(block) if not block.given_steps else None
     solver = solver or BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
     forget_faults(block)
     failures: dict[int, Exception] = {}
     if first is None:
         state, lost = start(block, solver)
         state = replace(state, length=first_length(block, state, share))
-        off = interpenetration(block, solver)
-        failures |= off | {i: contact_failure(block, i) for i in np.flatnonzero(lost).tolist()}
+        failures |= interpenetration(block, solver)
+        failures |= {i: contact_failure(block, i) for i in np.flatnonzero(lost).tolist()}
         going = np.array([i not in failures for i in range(len(block))])
         if going.any() and save(_instant(block, state, going, going, ~going, following)):
             return failures
@@ -158,6 +164,14 @@ def simulate(
             break
         limit = limit + (passed & going)
     return failures
+
+
+def first_contact(case: Case, comm: MPI.Comm) -> Contact:
+    """Return the contact of a case before any wear, as of a block of one. Collective on comm."""
+    block = Block.of([case], [assemble(case, comm)])
+    with TaoContact(block.compliance, block.by_force) as solver:
+        zero = np.zeros(1)
+        return solver.solve(block.gap, block.load.at(zero), None, np.zeros_like(block.gap), zero)
 
 
 def simulate_one(

@@ -23,8 +23,7 @@ from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.cases.smooth_keys import is_elastic
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.elastic import operator_key
-from ringwear_par.history.elastic import assemble
+from ringwear_par.history.elastic import assemble, operator_key
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.readings import Reader, trajectory
 from ringwear_par.parallel import as_ours, together

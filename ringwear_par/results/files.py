@@ -6,9 +6,9 @@ that is there is whole. Files of other versions need not open.
 
 import io
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -16,11 +16,11 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES
 from ringwear_par.errors import InputError
-from ringwear_par.history.state import Start
+from ringwear_par.history.state import State
 from ringwear_par.results import hdf5
 from ringwear_par.results.fields import DIRECTIONS, stress_measures
 from ringwear_par.results.key_numbers import laboratory_numbers
-from ringwear_par.results.result import Checkpoint, Result
+from ringwear_par.results.result import Checkpoint, Last, Result
 from ringwear_par.results.variables import (
     COORDINATES,
     EDGE_ELEMENT,
@@ -168,18 +168,17 @@ def write_result(path: Path, result: Result) -> None:
 
 # -- where a history continues ---------------------------------------------------------------------
 
-#: beginning of the names of the worst of a history among the arrays
-_WORST = "worst."
-
 
 def checkpoint_bytes(checkpoint: Checkpoint) -> IntArray:
     """Return a checkpoint as the bytes of an .npy file: one record of a history's arrays."""
-    parts = _parts(checkpoint.start)
-    parts |= {f"{_WORST}{name}": values for name, values in checkpoint.worst.items()}
-    parts["pending_iterations"] = checkpoint.pending_iterations
-    arrays = {name: np.asarray(values) for name, values in parts.items()}
-    record = np.zeros((), [(name, array.dtype, array.shape) for name, array in arrays.items()])
-    for name, array in arrays.items():
+    parts = {
+        f"{name}.{field}": np.asarray(value)
+        for name, part in vars(checkpoint).items()
+        for field, value in (part if isinstance(part, dict) else vars(part)).items()
+        if value is not None
+    }
+    record = np.zeros((), [(name, array.dtype, array.shape) for name, array in parts.items()])
+    for name, array in parts.items():
         record[name] = array
     contents = io.BytesIO()
     np.save(contents, record)
@@ -189,41 +188,15 @@ def checkpoint_bytes(checkpoint: Checkpoint) -> IntArray:
 def read_checkpoint(contents: IntArray) -> Checkpoint:
     """Return the checkpoint of these bytes; any exception means damage."""
     record = np.load(io.BytesIO(contents.tobytes()), allow_pickle=False)
-    parts = {name: record[name] for name in record.dtype.names}
-    worst = {
-        name.removeprefix(_WORST): tuple(values.tolist())
-        for name, values in parts.items()
-        if name.startswith(_WORST)
-    }
-    return Checkpoint(_whole(Start, parts), 0, int(parts["pending_iterations"]), worst)
+    parts: dict[str, dict[str, Any]] = {"first": {}, "last": {}, "worst": {}}
+    for place in record.dtype.names:
+        part, _, name = place.partition(".")
+        value = record[place]
+        parts[part][name] = value if value.ndim else value.item()
+    return Checkpoint(State(**parts["first"]), Last(**parts["last"]), parts["worst"])
 
 
-def _parts(whole: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the arrays and numbers in nested dataclasses by place, but for those that are None."""
-    parts: dict[str, Any] = {}
-    for field in fields(whole):
-        value, place = getattr(whole, field.name), f"{prefix}{field.name}"
-        if is_dataclass(value):
-            parts |= _parts(value, f"{place}.")
-        elif value is not None:
-            parts[place] = value
-    return parts
-
-
-def _whole(kind: Any, parts: Mapping[str, Any], prefix: str = "") -> Any:
-    """Return a dataclass of its parts, see ``_parts``."""
-    values: dict[str, Any] = {}
-    for field in fields(kind):
-        place = f"{prefix}{field.name}"
-        inner = next((k for k in (field.type, *get_args(field.type)) if is_dataclass(k)), None)
-        if inner is None:
-            values[field.name] = parts.get(place)
-        elif any(name.startswith(f"{place}.") for name in parts):
-            values[field.name] = _whole(inner, parts, f"{place}.")
-    return kind(**values)
-
-
-def restored(result: Result) -> Start:
+def restored(result: Result) -> State:
     """Return where a stored history continues.
 
     Raises
@@ -232,4 +205,4 @@ def restored(result: Result) -> Start:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
-    return result.checkpoint.start
+    return result.checkpoint.first

@@ -10,10 +10,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import Case, density_keys
-from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.history.state import State
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, stack
@@ -165,9 +163,9 @@ def _normal_work(result: Result) -> FloatArray:
     means = mean(schedule_of(result.attributes, "friction"), time[:-1], time[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
         work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
-        if (last := result.checkpoint) is not None and last.state.time == time[-1]:
-            work *= last.state.normal_work / work[-1]
-            work[-1] = last.state.normal_work  # without friction, too
+        if (last := result.checkpoint) is not None and last.last.time == time[-1]:
+            work *= last.last.normal_work / work[-1]
+            work[-1] = last.last.normal_work  # without friction, too
     return work
 
 
@@ -224,7 +222,7 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
-    state, about = result.checkpoint.state, result.attributes
+    state, about = result.checkpoint.last, result.attributes
     ends = {name: float(values[-1]) for name, values in result.histories.items()}
     ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
     return [
@@ -235,12 +233,12 @@ def key_numbers(result: Result) -> list[KeyNumber]:
             for i, body in enumerate(BODIES)
             for number in _group(f"worn layers of {body}", _layers(result, state, i))
         ),
-        *_group("pressure", _pressures(result, state.contact)),
+        *_group("pressure", _pressures(result, state)),
         *_group("load", (
-            ("force", "force", state.contact.force, "N"),
+            ("force", "force", state.force, "N"),
             ("torque", "torque", 1e-3 * ends["torque"], "N m"),
             ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
-            ("approach", "approach", state.contact.approach, "mm"),
+            ("approach", "approach", state.approach, "mm"),
         )),
         *_group("sliding at the mean radius", (
             ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
@@ -251,13 +249,13 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     ]  # fmt: skip
 
 
-def _penetration(result: Result, state: State) -> Iterator[_Row]:
+def _penetration(result: Result, state: Last) -> Iterator[_Row]:
     """Yield the penetration and its parts.
 
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
     """
-    load, least = state.contact.pressure * result.line.area, np.abs(result.data["approach"]).max()
+    load, least = state.pressure * result.line.area, np.abs(result.data["approach"]).max()
 
     def shown(depth: float) -> float:
         return 1e3 * depth if abs(depth) >= _ROUND_OFF * least else 0.0
@@ -270,7 +268,7 @@ def _penetration(result: Result, state: State) -> Iterator[_Row]:
         yield "elastic", "elastic", shown(total - worn), "um"
 
 
-def _worn(result: Result, state: State, i: int, ends: Mapping[str, float]) -> Iterator[_Row]:
+def _worn(result: Result, state: Last, i: int, ends: Mapping[str, float]) -> Iterator[_Row]:
     """Yield the wear of a body, nothing of one that does not wear."""
     body = BODIES[i]
     if not result.attributes[f"law_{body}"]:
@@ -290,7 +288,7 @@ def _worn(result: Result, state: State, i: int, ends: Mapping[str, float]) -> It
     yield f"{body}_specific_rate", "specific wear rate", specific, "mm3/(N m)"
 
 
-def _layers(result: Result, state: State, i: int) -> Iterator[_Row]:
+def _layers(result: Result, state: Last, i: int) -> Iterator[_Row]:
     """Yield the wear of the layers of a body, nothing of one without.
 
     Time and place of the first wear through a layer are as stored states show them; the time of
@@ -305,7 +303,7 @@ def _layers(result: Result, state: State, i: int) -> Iterator[_Row]:
     yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
     wear, times = data.get(f"wear_{body}"), data["time"]
     if wear is None or wear.ndim == 1:
-        wear, times = state.wear[i][None], state.time[None]
+        wear, times = state.wear[i][None], np.array([state.time])
     for layer, end in enumerate(data[f"layer_end_{body}"]):
         gone = wear >= end * (1.0 - _ON)
         if gone.any():
@@ -324,7 +322,7 @@ def _layers(result: Result, state: State, i: int) -> Iterator[_Row]:
     yield f"{body}_most_left", "largest thickness left", left.max(), "um"
 
 
-def _pressures(result: Result, contact: ContactState) -> Iterator[_Row]:
+def _pressures(result: Result, contact: Last) -> Iterator[_Row]:
     """Yield the contact pressures."""
     p, touching = contact.pressure, int((contact.pressure > 0.0).sum())
     mean_pressure, note = contact.force / result.attributes["nominal_area"], f"of {result.line.n}"
@@ -341,12 +339,12 @@ def _pressures(result: Result, contact: ContactState) -> Iterator[_Row]:
     yield "touching", "elements in contact", touching, "", note, ".0f"
 
 
-def _stresses(result: Result, last: State) -> list[KeyNumber]:
+def _stresses(result: Result, last: Last) -> list[KeyNumber]:
     """Return the largest stress of each body and its layers at the last state that has stresses."""
     if (history := result.stress) is None:
         return []
     state, rows = history.states[-1], list[_Row]()
-    beside_edge = edge_elements(last.contact.pressure) & (state.time == last.time)
+    beside_edge = edge_elements(last.pressure) & (state.time == last.time)
     group = "largest von Mises stress"
     if state.time != result.data["time"][-1]:
         group += f" at t = {state.time:g} s"

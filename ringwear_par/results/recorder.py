@@ -1,4 +1,4 @@
-"""Observer that stores the histories of cases, and makes their results."""
+"""Stores the histories of a block, and makes their results."""
 
 import json
 import time
@@ -10,27 +10,28 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray
+from ringwear_par.batched import take
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import STOP_CRITERIA
 from ringwear_par.errors import ValidityWarning, reason_of
-from ringwear_par.history.observers.balances import Balances, WorstBalances
-from ringwear_par.history.observers.boundaries import BoundaryObserver
-from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
-from ringwear_par.history.observers.worst_states import WorstStates
-from ringwear_par.history.snapshots import Observer, Snapshot
-from ringwear_par.history.state import Start
-from ringwear_par.results.attributes import case_attributes, times_through
-from ringwear_par.results.fields import (
-    boundary_arrays,
-    point_columns,
-    stress_arrays,
-    stress_rows,
-)
+from ringwear_par.history.checks import Worst
+from ringwear_par.history.loop import STOP, Instant
+from ringwear_par.history.state import State
+from ringwear_par.history.stresses import Boundaries, CaseStresses, Stresses
+from ringwear_par.results.fields import boundary_arrays, point_columns, stress_arrays, stress_rows
 from ringwear_par.results.key_numbers import end_numbers
-from ringwear_par.results.result import BALANCE, Checkpoint, HistoryColumns, Result
-from ringwear_par.results.rows import LastStates, StoredRows
+from ringwear_par.results.result import (
+    BALANCE,
+    Checkpoint,
+    HistoryColumns,
+    Last,
+    Result,
+    case_attributes,
+    times_through,
+)
+from ringwear_par.results.rows import Rows, moment
 from ringwear_par.results.variables import LAYER_ENDS
-from ringwear_par.results.warnings import INFINITE, Measures, Warnings
+from ringwear_par.results.warnings import warnings_of_histories
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
@@ -38,16 +39,16 @@ _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 class Recorder:
     """Stores the states of histories that their cases ask for, their balances and warnings.
 
-    An observer; calls are collective on comm, the same on all ranks. Each of its parts observes one
-    thing, of all histories at once.
+    Calls are collective on comm, the same on all ranks.
 
     Parameters
     ----------
-    cases : of one ``lockstep.batch_key``.
+    cases : of one ``block_key``.
     comm : communicator of their histories.
     before : result of the interrupted history that continues, of one case; None: it starts.
-    stresses : returns the stresses of a case, None where it asks for none; None: made here.
+    stresses : returns the stresses of a case; None: made here.
     results : whether there are to be results, which hold what it takes to continue.
+    pair_is_shared : whether others have paid for the contact pair.
     """
 
     def __init__(
@@ -56,81 +57,90 @@ class Recorder:
         comm: MPI.Comm,
         before: Result | None = None,
         *,
-        stresses: Callable[[Case], CaseStresses | None] | None = None,
+        stresses: Callable[[Case], CaseStresses] | None = None,
         results: bool = True,
+        pair_is_shared: bool = False,
     ) -> None:
-        self._cases, self._comm, count = cases, comm, len(cases)
-        #: where the history continues, None where it starts
-        self.start: Start | None = None
-        self._rows = StoredRows(cases)
-        rows, stored_until = np.zeros(0, dtype=bool), -1.0
-        if before is not None:
-            assert before.checkpoint is not None
-            self.start = before.checkpoint.start
-            rows = self._rows.restore(before, float(self.start.state.time[0]))
-            stored_until = float(before.histories["time"][rows][-1])
-        self._balances, self._worst = WorstBalances(count), WorstStates(cases[0], count)
-        self._boundary = BoundaryObserver(cases[0], comm, stored_until)
-        self._stresses = StressObserver(
-            cases, stresses or (lambda case: CaseStresses(case, comm)), stored_until,
-            points_only=not results,
-        )  # fmt: skip
-        self._last = LastStates(count, results)
-        #: of each history so far
-        self.warnings = Warnings(cases, self._worst, self._balances, self._stresses)
-        self._observers: tuple[Observer, ...] = (
-            self._balances, self._worst, self._boundary, self._stresses, self._rows, self._last,
-            self.warnings,
-        )  # fmt: skip
+        self._cases, self._comm, self._results, count = cases, comm, results, len(cases)
+        self._pair_is_shared = pair_is_shared
+        self._rows, self._worst = Rows(cases), Worst(count)
+        self._boundaries = Boundaries(cases[0], comm)
+        of = stresses or (lambda case: CaseStresses(case, comm))
+        made = {} if cases[0].stress is None else {0: of(cases[0])}
+        self._stresses = Stresses(
+            cases, stresses or (lambda case: made[0]), points_only=not results
+        )
+        #: the last states that histories went on from; None before the first
+        self.last: Instant | None = None
+        #: of histories that have ended: their last instant, and their place in it
+        self._ended: dict[int, tuple[Instant, int]] = {}
+        #: limits that ended histories before their times, in words by criterion, by number
+        self._stops: dict[int, dict[str, str]] = {}
         self._started, self._stepping = time.perf_counter(), 0.0
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
-        #: attributes of the interrupted history
+        #: attributes of the interrupted history, and where it continues
         self._before: Mapping[str, Any] = {}
+        self.first: State | None = None
         if before is not None:
-            self._restore(before, rows)
+            self._restore(before)
 
-    def __call__(self, snapshot: Snapshot) -> bool:
+    def _restore(self, before: Result) -> None:
+        """Take over the stored rows of an interrupted history, and the worst of all its states."""
+        assert before.checkpoint is not None
+        self.first, self._before = before.checkpoint.first, before.attributes
+        self._rows.restore(before, float(self.first.time[0]))
+        self._worst.restore(before.checkpoint.worst)
+        if self._cases[0].output.boundary != "last":
+            self._boundaries.states = [*before.boundary]
+        if before.stress is not None and self._cases[0].stress is not None:
+            if self._cases[0].stress.times != "last":
+                self._stresses.states[0] = [*before.stress.states]
+            self._stresses.wear[0] = before.checkpoint.last.wear
+
+    def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""
-        for observer in self._observers:
-            observer(snapshot)
+        self.last, numbers = instant, instant.block.number
+        stored = np.flatnonzero(instant.stored)
+        if len(stored):
+            part = instant
+            if len(stored) < len(numbers):
+                some = (instant.block, instant.state, instant.stored, instant.ended)
+                part = Instant(*take(some, stored), instant.following)
+            self._worst(part)
+            self._fields(part)
+            self._rows(part)
+        for place in np.flatnonzero(instant.ended).tolist():
+            self._ended[int(numbers[place])] = instant, place
+        self._note_stops(instant)
         self._stepping = time.perf_counter() - self._started
         return False
 
-    # -- where an interrupted history continues ----------------------------------------------------
+    def _fields(self, instant: Instant) -> None:
+        """Compute stresses and boundary fields of stored states, where cases ask for them."""
+        case = self._cases[0]
+        if case.stress is None and case.output.boundary == "none":
+            return
+        for place, number in enumerate(instant.block.number.tolist()):
+            state, before = moment(instant, place), float(self._rows.last_time[number])
+            self._boundaries(state, before)
+            self._stresses(number, state, before)
 
-    def _restore(self, before: Result, rows: BoolArray) -> None:
-        """Take over the stored rows of an interrupted history, and the worst of all its states."""
-        assert before.checkpoint is not None
-        assert self.start is not None
-        case, worst = self._cases[0], before.checkpoint.worst
-        attributes = self._before = before.attributes
-        self._balances.restore(
-            Balances(**before.balances),
-            bool(attributes["closing_contact"]),
-            worst["reactions"][1],
-        )
-        self._worst.restore(worst)
-        steps, reached = int(self.start.progress.steps[0]), float(self.start.state.time[0])
-        stored, finished = before.histories["time"][rows], case.time.finished(steps, reached)
-        self._boundary.restore(before.boundary, stored, finished)
-        self._stresses.restore(before.stress, stored, finished, worst[INFINITE])
-        names = [f"wear_{body}" for body in ("lower", "upper")]
-        if case.output.profiles == "all" and set(names) <= before.profiles.keys():
-            wear = np.array([before.profiles[name] for name in names])
-            self._stresses.restore_wear(before.histories["time"], wear)
+    def _note_stops(self, instant: Instant) -> None:
+        """Note which limits have ended those histories that are not at the ends of their times."""
+        block, state = instant.block, instant.state
+        early = instant.ended & (state.time < block.limits[:, -1])
+        for name, most in block.stop.items() if early.any() else ():
+            for place in np.flatnonzero(early & (STOP[name](block, state) >= most)).tolist():
+                limit = f"stop.{name} = {most[place]:g} {STOP_CRITERIA[name].unit}"
+                self._stops.setdefault(int(block.number[place]), {})[name] = limit
 
     # -- what there is -----------------------------------------------------------------------------
 
     @property
-    def last(self) -> Snapshot | None:
-        """The last states, stored or not; None before the first."""
-        return self._last.snapshot
-
-    @property
     def finished(self) -> bool:
         """Whether a single history has come to its end."""
-        return self._last.finished
+        return 0 in self._ended
 
     def columns(self, failures: Mapping[int, Exception] = _NO_FAILURES) -> HistoryColumns:
         """Return all histories as they are stored.
@@ -147,9 +157,13 @@ class Recorder:
         """Return all histories as they are stored, and the warnings of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
-        stops = [() if bad else self._last.stops.get(i, ()) for i, bad in enumerate(failed)]
-        warnings = self.warnings.histories(failed)
-        rows, whole = self._rows.columns(), times_through(self._cases[0], self._last.through)
+        stops = [() if bad else self._stops.get(i, {}) for i, bad in enumerate(failed)]
+        warnings = warnings_of_histories(self._cases, self._worst.measures, self._stresses, failed)
+        through, normal_work = np.full((2, count), np.inf), np.full(count, np.nan)
+        for number, (instant, place) in self._ended.items():
+            through[:, number] = instant.state.through[place]
+            normal_work[number] = instant.state.normal_work[place]
+        rows, whole = self._rows.columns(), times_through(self._cases[0], through)
         # cases ask for the same stresses, or for none
         histories = [self._stresses.history(number) for number in range(count)]
         times = np.split(rows["histories"]["time"], rows["offsets"][1:-1])
@@ -162,7 +176,7 @@ class Recorder:
             whole |= {n: np.tile(v, (count, 1)) for n, v in point_columns(histories[0]).items()}
         columns = HistoryColumns(
             **rows,
-            imbalance=np.where(failed, 0.0, self._balances.imbalance),
+            imbalance=np.where(failed, 0.0, self._worst.imbalance),
             flags=tuple(
                 (*(warning.code for warning in texts), *(f"stopped_by_{name}" for name in limits))
                 for texts, limits in zip(warnings, stops, strict=True)
@@ -173,7 +187,7 @@ class Recorder:
             stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
             whole=whole,
         )
-        numbers = end_numbers(self._cases, columns, self._last.normal_work)
+        numbers = end_numbers(self._cases, columns, normal_work)
         return replace(columns, whole={**columns.whole, **numbers}), warnings
 
     # -- results -----------------------------------------------------------------------------------
@@ -186,17 +200,14 @@ class Recorder:
         error : why the history cannot go on, "" where it can.
         """
         columns, (warnings,) = self._recorded(_NO_FAILURES)
-        return self._result(0, columns, warnings, self.warnings.measures(), error)
+        return self._result(0, columns, warnings, error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
         columns, warnings = self._recorded(failures)
-        measures = self.warnings.measures()
         return [
-            failures[number]
-            if number in failures
-            else self._result(number, columns, doubts, measures)
+            failures[number] if number in failures else self._result(number, columns, doubts)
             for number, doubts in enumerate(warnings)
         ]
 
@@ -205,20 +216,19 @@ class Recorder:
         number: int,
         columns: HistoryColumns,
         warnings: Sequence[ValidityWarning],
-        measures: Measures,
         error: str = "",
     ) -> Result:
+        assert self.last is not None
         case, rows = self._cases[number], columns.rows(number)
-        start, place, defect = self._last.state(number)
-        steps, time_reached = columns.steps[rows], float(start.state.time[place])
-        through = times_through(case, self._last.through[:, number])
-        worst = {name: values[:, number].tolist() for name, values in measures.items()}
-        about = case_attributes(case, time_reached)
-        balances = vars(self._balances.history(number)).copy()
+        instant, place = self._ended.get(number, (self.last, 0))
+        block, state = take((instant.block, instant.state), np.array([place]))
+        steps, time_reached = columns.steps[rows], float(state.time[0])
+        balances = vars(self._worst.balances(number)).copy()
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
             del balances["step_error"]
-        if number in self._last.stops:
-            about["stopped_by"] = " and ".join(self._last.stops[number].values())
+        about = case_attributes(case, time_reached)
+        if number in self._stops:
+            about["stopped_by"] = " and ".join(self._stops[number].values())
 
         data: dict[str, Any] = {"step": steps, "line/edges": case.line.edges}
         numbers = np.arange(len(steps))
@@ -231,40 +241,43 @@ class Recorder:
                 data[name] = case.layer_ends(i)
         if (stresses := self._stresses.history(number)) is not None:
             data |= stress_arrays(stresses)
-        data |= boundary_arrays(self._boundary.states)
+        data |= boundary_arrays(self._boundaries.states)
+        through = times_through(case, state.through[0])
+        worst = {name: values[:, number].tolist() for name, values in self._worst.measures.items()}
         return Result(
             data,
             {
                 **about,
                 **{name: float(time) for name, time in through.items()},
-                "status": "complete" if self._last.has_ended(number) else "incomplete",
+                "status": "complete" if number in self._ended else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                **self._seconds(),
+                **self._seconds(instant),
                 **{f"{BALANCE}{name}": value for name, value in balances.items()},
-                "symmetry_defect": defect,
-                "closing_contact": int(self._balances.closing_contact[number]),
+                "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
-            Checkpoint(start, place, int(self._rows.pending[number]), worst),
+            Checkpoint(state, Last.of(block, state), worst),
         )  # fmt: skip
 
-    def _seconds(self) -> dict[str, float]:
+    def _seconds(self, instant: Instant) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.
 
-        Of several histories, those of one in the mean. The assembly of a shared pair is another's,
-        and that of one that was assembled before is of then.
+        Of several histories, those of one in the mean.
         """
-        physics, output = self._last.physics, self.seconds_output
-        cost = physics.update_cost
-        if not physics.pair_is_shared:
-            cost = cost + physics.pairs[0].cost
-        assembly, solution = cost.seconds_assembly, cost.seconds_solution
-        stepping = self._stepping / len(self._cases) - output - (assembly + solution)
+        assembly = solution = 0.0
+        costs = [] if self._pair_is_shared else [instant.block.line.pairs[0].cost]
+        if instant.following is not None:
+            costs.append(instant.following.cost)
+        for cost in costs:
+            assembly, solution = (
+                assembly + cost.seconds_assembly, solution + cost.seconds_solution,
+            )  # fmt: skip
+        stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
         seconds = {
             "seconds_assembly": assembly,
             "seconds_factorisation": solution,
             "seconds_stepping": max(stepping, 0.0),
-            "seconds_output": output,
+            "seconds_output": self.seconds_output,
         }
         return {name: s + float(self._before.get(name, 0.0)) for name, s in seconds.items()}

@@ -3,19 +3,16 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.batched import one, take
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
 from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.history.block import Block
+from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES
 
 if TYPE_CHECKING:
@@ -66,35 +63,39 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
+class Last:
+    """The last state of a history."""
+
+    #: s, number of steps made, N, mm, and N mm, pressure times sliding speed over area and time
+    time: float
+    steps: int
+    force: float
+    approach: float
+    normal_work: float
+    #: (n,) MPa; (2, n) mm and mm/s of lower and upper
+    pressure: FloatArray
+    wear: FloatArray
+    rates: FloatArray
+
+    @classmethod
+    def of(cls, block: Block, state: State) -> "Last":
+        """Return the state of a block of one."""
+        return cls(
+            float(state.time[0]), int(state.steps[0]),
+            float(state.pressure[0] @ block.line.area), float(state.approach[0]),
+            float(state.normal_work[0]), state.pressure[0], block.both(state.wear)[:, 0],
+            block.both(state.rates)[:, 0],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The last state of a history, with all that it takes to continue."""
+    """Where a history goes on: its state, as of a block of one, and what is told of it."""
 
-    #: where histories that ended together continue, and which of them this one is
-    starts: Start
-    place: int
-    #: of the contact solver since the last stored state
-    pending_iterations: int
-    #: of the history so far, see ``WorstStates.history``
+    first: State
+    last: Last
+    #: of the history so far, see ``checks.Worst``
     worst: Mapping[str, Sequence[float]]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the fields, without the other histories."""
-        return {**vars(self), "starts": self.start, "place": 0}
-
-    @cached_property
-    def start(self) -> Start:
-        """Where the history continues, as of one of B = 1."""
-        return take(self.starts, np.array([self.place]))
-
-    @cached_property
-    def state(self) -> State:
-        """The state, without the axis of histories."""
-        return one(self.starts.state, self.place)
-
-    @cached_property
-    def progress(self) -> Progress:
-        """Its steps, without the axis of histories."""
-        return one(self.starts.progress, self.place)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,8 @@ from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.plausible import implausible_numbers
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError, counted
 from ringwear_par.files.writing import announce_replacement, check_writable
-from ringwear_par.history.loop import is_at_end, simulate_one
-from ringwear_par.history.refusals.cases import check_case
-from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.loop import Instant, simulate_one
+from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.results.files import open_result, restored, write_result
 from ringwear_par.results.progress import Progress
@@ -78,7 +77,7 @@ def run_case(
     case, before = on_first_rank(
         comm, lambda: _checked(path, output, overrides, restart, overwrite, figure, comm.size)
     )
-    if before is None or not is_at_end(case, restored(before)):
+    if before is None or not _is_at_end(case, before):
         if first:
             warn_of_threads(comm.size)
         announced = before is None and not overwrite
@@ -164,7 +163,7 @@ def _interrupted(
     if restart and not fault:
         return before
     if not restart:
-        steps = restored(before).progress.steps[0]
+        steps = restored(before).steps[0]
         fault = f"holds a run that was interrupted after step {steps}; " + (
             "it is one of another case, and --overwrite replaces it"
             if fault
@@ -191,13 +190,29 @@ def _difference(before: Result, case: Case) -> str:
             f"holds another case; --restart needs the same case, only {growing} and limits in "
             "[stop] may change"
         )
-    reached = float(restored(before).state.time[0])
+    reached = float(restored(before).time[0])
     if reached > case.time.end * (1.0 + SAME_TIME):
         return (
             f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
             "long with --restart"
         )
     return ""
+
+
+def _is_at_end(case: Case, before: Result) -> bool:
+    """Tell whether a stored history has come to the end of a case, or to one of its limits."""
+    first = restored(before)
+    if case.time.finished(int(first.steps[0]), float(first.time[0])):
+        return True
+    assert before.checkpoint is not None
+    last = before.checkpoint.last
+    reached = {
+        "penetration": last.approach - float(first.first_approach[0]),
+        "wear_lower": last.wear[0].max(),
+        "wear_upper": last.wear[1].max(),
+        "energy": float(first.energy[0]),
+    }
+    return any(reached[name] >= limit for name, limit in case.stop)
 
 
 def _continued(text: str) -> dict[str, Any]:
@@ -226,36 +241,37 @@ class Run:
         self, case: Case, output: Path, recorder: Recorder, comm: MPI.Comm, announced: bool
     ) -> None:
         self.case, self.output, self.recorder, self.comm = case, output, recorder, comm
-        self.signals, start = StopSignals(), recorder.start
-        since = 0.0 if start is None else float(start.state.time[0])
+        self.signals, start = StopSignals(), recorder.first
+        since = 0.0 if start is None else float(start.time[0])
         self.progress = Progress(case.time.end, since) if comm.rank == 0 else None
         #: the signal that the ranks agreed to stop for, or 0
         self.agreed = 0
         self._announced = announced and comm.rank == 0
         #: steps that the file holds, None for none
-        self._steps = None if start is None else int(start.progress.steps[0])
+        self._steps = None if start is None else int(start.steps[0])
         #: when the last checkpoint was tried, and whether it was written
         self._saved, self._written = time.perf_counter(), True
 
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Return whether to stop after this state. Collective."""
+    def __call__(self, instant: Instant) -> bool:
+        """Take a new state; return whether to stop after it. Collective."""
+        self.recorder(instant)
+        state = instant.state
         if not self.signals.noted:
             if self._announced:
                 announce_replacement(self.output)
             self.signals.__enter__()
         if self.progress is not None:
             self.progress.show(
-                float(snapshot.state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
-                snapshot.progress.steps[0], snapshot.state.time[0], self.case.time.end,
-                snapshot.state.contact.approach[0],
+                float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
+                state.steps[0], state.time[0], self.case.time.end, state.approach[0],
             )  # fmt: skip
-        if snapshot.passing or snapshot.step is None:
+        if not state.steps[0]:
             return False
         due = self.comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
         request = np.array([self.signals.received, due], dtype=np.int64)
         self.comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
         self.agreed = int(request[0])
-        if request[1] and not self.agreed and not snapshot.finished.all():
+        if request[1] and not self.agreed and not instant.ended.all():
             try:
                 self.save()
                 self._written = True
@@ -273,7 +289,7 @@ class Run:
         on_first_rank(self.comm, lambda: write_result(self.output, result))
         self.recorder.seconds_output += time.perf_counter() - begun
         last = self.recorder.last
-        self._steps = None if last is None else int(last.progress.steps[0])
+        self._steps = None if last is None else int(last.state.steps[0])
         return result
 
     def save_at_end(self, error: str = "") -> Result:
@@ -293,8 +309,8 @@ class Run:
 def _compute(run: Run, path: Path) -> None:
     """Step a history to its end or to a signal, write it, and print what came of it. Collective."""
     case, output, recorder, first = run.case, run.output, run.recorder, run.comm.rank == 0
-    if (start := recorder.start) is not None and first:
-        steps, reached = start.progress.steps[0], start.state.time[0]
+    if (start := recorder.first) is not None and first:
+        steps, reached = start.steps[0], start.time[0]
         log.info("continuing %s after step %d (%g s)", output, steps, reached)
     with ExitStack() as cleanup:
         cleanup.push(run.signals)
@@ -309,7 +325,7 @@ def _compute(run: Run, path: Path) -> None:
         last = recorder.last
         with together(run.comm):
             if last is not None and not recorder.finished:
-                steps, reached = int(last.progress.steps[0]), float(last.state.time[0])
+                steps, reached = int(last.state.steps[0]), float(last.state.time[0])
                 how_far = f"(at {reached:g} of {case.time.end:g} s)"
                 raise ComputationError(
                     f"stopped by {name_of(run.agreed)} after step {steps} "
@@ -328,14 +344,18 @@ def _step(run: Run, path: Path) -> None:
         if run.progress is not None:
             cleanup.enter_context(closing(run.progress))
         try:
-            simulate_one(case, comm, start=recorder.start, observers=[recorder, run])
+            simulate_one(case, comm, run, first=recorder.first, every=True)
         except RingwearError as error:
             for warning in implausible_numbers(case) if comm.rank == 0 else ():
                 if f"{warning.keys[0]} = " not in str(error):
                     log.warning("%s: %s", path, warning.text)
             if isinstance(error, UnfitError):
                 raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-            if isinstance(error, InputError) or recorder.last is None or not recorder.last.step:
+            if (
+                isinstance(error, InputError)
+                or recorder.last is None
+                or not recorder.last.state.steps[0]
+            ):
                 raise
             run.save_at_end(str(error))
             raise ComputationError(

@@ -7,7 +7,7 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.history.refusals.cases import check_case
+from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
@@ -55,6 +55,6 @@ def simulate(
             "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
             "assemble(case) of a case that shares them"
         )
-    recorder = Recorder([case], comm)
-    simulate_one(case, comm, pair=pair, observers=[recorder])
+    recorder = Recorder([case], comm, pair_is_shared=pair is not None)
+    simulate_one(case, comm, recorder, pair=pair)
     return recorder.result()

@@ -120,11 +120,11 @@ def warnings_of(result: Result) -> list[str]:
     The result has its last state.
     """
     assert result.checkpoint is not None
-    about, last, sentences = result.attributes, result.checkpoint, []
+    about, last, sentences = result.attributes, result.checkpoint.last, []
     if about["status"] != "complete":
-        where = f"t = {last.state.time:g} of {about['time_end']:g} s"
+        where = f"t = {last.time:g} of {about['time_end']:g} s"
         if not SCHEMES[about["scheme"]].adaptive:
-            where = f"step {int(last.progress.steps)} of {about['time_steps']}"
+            where = f"step {last.steps} of {about['time_steps']}"
         sentences.append(
             f"failed after {where}: {about['error']}"
             if about["error"]

@@ -1,30 +1,26 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.cases.plausible import implausible_numbers, wear_question
-from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, mises
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.history.observers.balances import WorstBalances
-from ringwear_par.history.observers.stresses import RISING, StressObserver
-from ringwear_par.history.observers.worst_states import (
+from ringwear_par.history.checks import (
     ENTRIES,
     FEW_ELEMENTS,
     MOST_ANGLE,
-    WorstStates,
     force_measure,
     worn_share,
 )
-from ringwear_par.history.refusals.stable_steps import missed_corner, stable_steps
-from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.schedules import largest
+from ringwear_par.history.stresses import RISING, Stresses
+from ringwear_par.schedules import Table, largest
 
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
@@ -41,15 +37,13 @@ _MOST_DEFECT = 0.01
 _MOST_ASYMMETRIC, _MOST_ASYMMETRIC_FILM = 3e-3, 5e-3
 #: share of the load that faces of unlike slopes may bear
 _LOAD_ASIDE = 0.05
-#: largest error of a pressure that comes of making the compliance symmetric
-_MOST_ASYMMETRY = 0.05
 #: share of a layer, weighted by load, that is worn off, and relative difference of its modulus from
 #: what is below, above which the unworn stack no longer describes the body
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 
-#: name of the measure of largest stresses beside edges where they are infinite
-INFINITE = "infinite_stress"
-#: the largest of each measure of B histories, (ENTRIES, B) each, see ``WorstStates``
+#: share of the range of a load by which steps may miss it
+_SLIGHT_MISS = 0.01
+#: the largest of each measure of B histories, (ENTRIES, B) each, see ``checks.Worst``
 Measures = Mapping[str, FloatArray]
 
 
@@ -65,54 +59,19 @@ class Check(NamedTuple):
     values: Mapping[str, Sequence[Any] | FloatArray]
 
 
-class Warnings:
-    """Warnings of B histories so far: an observer of what other observers do not look at.
-
-    Parameters
-    ----------
-    cases : of the histories.
-    worst, balances, stresses : observers of the same histories.
-    """
-
-    def __init__(
-        self,
-        cases: Sequence[Case],
-        worst: WorstStates,
-        balances: WorstBalances,
-        stresses: StressObserver,
-    ) -> None:
-        self._cases, self._states, self._balances = cases, worst, balances
-        self._stresses = stresses
-        #: (B,) s, the largest stable steps of explicit schemes, NaN where not known
-        self._stable_steps = np.full(len(cases), np.nan)
-
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Take the largest stable steps of explicit schemes, once a history."""
-        physics, numbers = snapshot.physics, snapshot.numbers
-        explicit = SCHEMES[physics.case.time.scheme].explicit
-        if explicit and np.isnan(self._stable_steps[numbers]).any():
-            self._stable_steps[numbers] = stable_steps(physics, snapshot.contacts)
-        return False
-
-    def measures(self) -> Measures:
-        """Return the worst of all histories by name of its measure."""
-        more = {name: np.zeros((ENTRIES, len(self._cases))) for name in ("reactions", INFINITE)}
-        more["reactions"][:2] = self._balances.reactions
-        infinite = [self._stresses.infinite(number) for number in range(len(self._cases))]
-        more[INFINITE][:3] = np.transpose(infinite)
-        return {**self._states.measures, **more}
-
-    def histories(self, failed: Sequence[bool]) -> list[tuple[ValidityWarning, ...]]:
-        """Return the warnings of each history, none of those that have failed."""
-        warnings = [[*implausible_numbers(case), *_of_case(case)] for case in self._cases]
-        for check in _of_states(self._cases, self.measures(), self._stable_steps):
-            for i in np.flatnonzero(check.mask).tolist():
-                values = {name: entries[i] for name, entries in check.values.items()}
-                warnings[i].append(ValidityWarning(check.code, check.sentence.format(**values)))
-        for number, case in enumerate(self._cases):
-            if self._stresses.places(number) is not None and not failed[number]:
-                warnings[number] += _of_stresses(case, self._stresses, number)
-        return [() if bad else tuple(w) for bad, w in zip(failed, warnings, strict=True)]
+def warnings_of_histories(
+    cases: Sequence[Case], worst: Measures, stresses: Stresses, failed: Sequence[bool]
+) -> list[tuple[ValidityWarning, ...]]:
+    """Return the warnings of each of B histories, none of those that have failed."""
+    warnings = [[*implausible_numbers(case), *_of_case(case)] for case in cases]
+    for check in _of_states(cases, worst):
+        for i in np.flatnonzero(check.mask).tolist():
+            values = {name: entries[i] for name, entries in check.values.items()}
+            warnings[i].append(ValidityWarning(check.code, check.sentence.format(**values)))
+    for number, case in enumerate(cases):
+        if case.stress is not None and not failed[number]:
+            warnings[number] += _of_stresses(case, stresses, number)
+    return [() if bad else tuple(w) for bad, w in zip(failed, warnings, strict=True)]
 
 
 def _of_case(case: Case) -> Iterator[ValidityWarning]:
@@ -127,7 +86,7 @@ def _of_case(case: Case) -> Iterator[ValidityWarning]:
             f"the unloaded faces are {gap:.4g} mm apart (lower.z ends at {lower.z[1]:g} mm, "
             f"upper.z begins at {upper.z[0]:g} mm): {text}",
         )
-    if (corner := missed_corner(case)) is not None:
+    if (corner := _missed_corner(case)) is not None:
         time, load, straight = corner
         noun, unit = ("force", "N") if case.load.displacement is None else ("displacement", "mm")
         yield ValidityWarning(
@@ -137,6 +96,27 @@ def _of_case(case: Case) -> Iterator[ValidityWarning]:
             "line between the ends of the step. Choose time.step so that a step ends there, or "
             'time.scheme = "adaptive"',
         )
+
+
+def _missed_corner(case: Case) -> tuple[float, float, float] | None:
+    """Return the corner of the load's table that fixed steps pass over, None for none.
+
+    That is its time (s), the load there (N or mm), and what the load would be between both ends of
+    the step; of several corners, the one that is missed most.
+    """
+    load = case.load.displacement if case.load.force is None else case.load.force
+    step = case.time.step
+    if case.time.adaptive or not isinstance(load, Table):
+        return None
+    x, y = np.array(load.x), np.array(load.y)
+    number = np.floor(x / step + SAME_TIME)
+    share = np.clip(x / step - number, 0.0, 1.0)
+    straight = (1.0 - share) * load(number * step) + share * load((number + 1.0) * step)
+    missed = np.where((x > 0.0) & (x < case.time.end), np.abs(y - straight), 0.0)
+    i = int(missed.argmax())
+    if missed[i] <= _SLIGHT_MISS * np.ptp(y):
+        return None
+    return float(x[i]), float(y[i]), float(straight[i])
 
 
 def _height(case: Case) -> float:
@@ -158,19 +138,16 @@ def _is_apart(case: Case) -> bool:
     return case.smallest_gaps[0] > _MOST_APART * _height(case) or _never_touches(case)
 
 
-def _of_states(cases: Sequence[Case], worst: Measures, stable: FloatArray) -> Iterator[Check]:
-    """Yield what is doubted for the worst states of B histories on one contact pair.
-
-    Parameters
-    ----------
-    stable : (B,) s, the largest stable steps of explicit schemes.
-    """
-    steps = np.array([case.time.step for case in cases])
+def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
+    """Yield what is doubted for the worst states of B histories on one contact pair."""
+    none = np.zeros((ENTRIES, len(cases)))
+    worst = defaultdict(lambda: none, measures)
+    times, _, stable, *_ = worst["instability"]
     yield Check(
-        "unstable_explicit_step", steps > stable,
+        "unstable_explicit_step", times > 1.0,
         "explicit scheme: time.step = {step:.6g} s is {times:.3g} times its stability limit; the "
         "largest stable step on this mesh is {stable:.6g} s, beyond which profiles oscillate",
-        {"step": steps, "times": steps / stable, "stable": stable},
+        {"step": times * stable, "times": times, "stable": stable},
     )  # fmt: skip
 
     moved, time, *_ = worst["moved"]
@@ -216,7 +193,8 @@ def _of_states(cases: Sequence[Case], worst: Measures, stable: FloatArray) -> It
         {"count": fewest + 1, "time": time, "force": force},
     )  # fmt: skip
 
-    reactions, asymmetry = worst["reactions"][:2], worst["symmetry_defect"][:2]
+    torque, reaction, asymmetry = (worst[name][:2] for name in ("torque", "reaction", "asymmetry"))
+    reactions = np.where(torque[0] > reaction[0], torque, reaction)
     layered = any(ring.layers for ring in cases[0].rings)
     asymmetric = asymmetry[0] > (_MOST_ASYMMETRIC_FILM if layered else _MOST_ASYMMETRIC)
     defect, time = np.where(asymmetry[0] > reactions[0], asymmetry, reactions)
@@ -243,15 +221,6 @@ def _of_states(cases: Sequence[Case], worst: Measures, stable: FloatArray) -> It
          "acts": acts},
     )  # fmt: skip
 
-    error, time, r, *_ = worst["asymmetry"]
-    yield Check(
-        "asymmetric_compliance", error > _MOST_ASYMMETRY,
-        "the pressure at r = {r:.6g} mm is about {error:.2g} off at t = {time:g} s, because the "
-        "compliance matrix was made symmetric: a finer mesh (mesh.contact_elements) or a milder "
-        "grading (mesh.grading) is needed",
-        {"error": error, "time": time, "r": r},
-    )  # fmt: skip
-
 
 def _of_layers(cases: Sequence[Case], worst: Measures) -> Iterator[Check]:
     """Yield which layers of another modulus were worn that elasticity still has."""
@@ -275,9 +244,9 @@ def _of_layers(cases: Sequence[Case], worst: Measures) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def _of_stresses(case: Case, stresses: StressObserver, number: int) -> Iterator[ValidityWarning]:
+def _of_stresses(case: Case, stresses: Stresses, number: int) -> Iterator[ValidityWarning]:
     """Yield what is doubted about the stresses of a history, of which the observer has a number."""
-    history, (stress, time, r) = stresses.history(number), stresses.infinite(number)
+    history, (stress, time, r) = stresses.history(number), stresses.infinite[number]
     assert history is not None
     grows = f"grows as stress.exclude, now {history.exclude:g} mm, is made smaller"
     if stress and time in [state.time for state in history.states]:
@@ -320,14 +289,14 @@ def _infinite_ends(
 
 
 def _worn_points(
-    case: Case, history: StressHistory, stresses: StressObserver, number: int
+    case: Case, history: StressHistory, stresses: Stresses, number: int
 ) -> Iterator[ValidityWarning]:
     """Yield whether points of stress lie where wear has been at the last of its states.
 
     Points on faces are of the faces as they are, and points in layers that are worn through have no
     stress: they are left out.
     """
-    places, wear = stresses.places(number), stresses.wear(number)
+    places, wear = stresses.places, stresses.wear.get(number)
     if places is None or wear is None or case.follows_wear:
         return
     bodies, depths, state = places.of_points, places.depths, history.states[-1]

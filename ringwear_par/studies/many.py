@@ -12,7 +12,7 @@ from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic import operator_key
-from ringwear_par.history.refusals.cases import check_case
+from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.together import computed_with_pairs, most_together

@@ -26,7 +26,7 @@ from ringwear_par.cases.schema import unit_under
 from ringwear_par.cases.values import Interval, is_number
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text, toml_text
-from ringwear_par.history.refusals.cases import check_memory, check_mesh
+from ringwear_par.history.refusals import check_memory, check_mesh
 from ringwear_par.studies.designs import read_draft
 from ringwear_par.studies.variations import (
     Column,

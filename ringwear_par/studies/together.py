@@ -14,12 +14,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.elastic import operator_key, shares_reference, young
-from ringwear_par.history.elastic import assemble
-from ringwear_par.history.lockstep import batch_key, can_share
+from ringwear_par.history.block import Block, block_key
+from ringwear_par.history.elastic import assemble, operator_key
+from ringwear_par.history.following import Following
 from ringwear_par.history.loop import simulate
-from ringwear_par.history.observers.stresses import CaseStresses, stress_key
-from ringwear_par.history.refusals.cases import check_memory, check_mesh, stress_numbers
+from ringwear_par.history.refusals import check_memory, check_mesh, stress_numbers
+from ringwear_par.history.stresses import CaseStresses, stress_key
 from ringwear_par.parallel import together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
@@ -57,29 +57,25 @@ def most_together(case: Case, assembly: float = 0.0) -> int:
         size += 8.0 * stress_numbers(case)[1]
     step = _MOVING_STEP_SECONDS if case.follows_wear else _STEP_SECONDS
     seconds = assembly + step * case.about_steps * (1.0 + (n / 64.0) ** 2)
-    most = min(_side_by_side([case]), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
+    most = min(_side_by_side(case), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
     return max(int(most), 1)
 
 
-def _side_by_side(cases: Sequence[Case]) -> int:
-    """Return how many histories step at a time, for their matrices to stay in the cache."""
-    n = cases[0].mesh.contact_elements
-    matrices = len({young(case) for case in cases if not shares_reference(case)}) > 1
-    fields = max(_FIELDS, n) if matrices else _FIELDS
-    return min(max(_NUMBERS // (fields * n), 16), MOST)
+def _side_by_side(case: Case) -> int:
+    """Return how many histories like a case's step at a time, for their fields to stay in cache."""
+    return min(max(_NUMBERS // (_FIELDS * case.mesh.contact_elements), 16), MOST)
 
 
-def groups_of(cases: Sequence[Case]) -> list[list[int]]:
-    """Return the numbers of cases of one contact pair that step together, group by group."""
+def blocks_of(cases: Sequence[Case]) -> list[list[int]]:
+    """Return the numbers of cases on the same contact elements that step together."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in enumerate(cases):
-        key = batch_key(case)
-        groups[("alone", number) if key is None else key].append(number)
+        groups[block_key(case)].append(number)
     parts: list[list[int]] = []
     for numbers in groups.values():
-        alone = len(numbers) > 1 and not can_share(cases[numbers[0]])
-        numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
-        size = 1 if alone else _side_by_side([cases[number] for number in numbers])
+        # those of the same moduli share a matrix
+        numbers.sort(key=lambda n: (cases[n].lower.young, cases[n].upper.young))
+        size = _side_by_side(cases[numbers[0]])
         parts += [numbers[i : i + size] for i in range(0, len(numbers), size)]
     return parts
 
@@ -121,15 +117,17 @@ def computed(
     ``history.loop``.
     """
     done, stresses = [], _stresses(comm)
-    for numbers in groups_of(cases):
-        chosen = [cases[number] for number in numbers]
-        recorder = Recorder(chosen, comm, stresses=stresses, results=results)
-        outcome = simulate(
-            chosen, comm, pair=[pairs[number] for number in numbers], observers=[recorder],
-            step_times=_some(step_times, numbers),
-            paces=_some(paces, numbers),
-        )  # fmt: skip
-        done.append(Computed(tuple(numbers), recorder, outcome.failures))
+    for numbers in blocks_of(cases):
+        chosen, pair = [cases[n] for n in numbers], [pairs[n] for n in numbers]
+        following = Following(chosen[0], comm) if chosen[0].follows_wear else None
+        if following is not None:
+            pair = [following.pair]
+        recorder = Recorder(
+            chosen, comm, stresses=stresses, results=results, pair_is_shared=following is None
+        )
+        block = Block.of(chosen, pair, _some(step_times, numbers), _some(paces, numbers))
+        failures = simulate(block, recorder, following=following)
+        done.append(Computed(tuple(numbers), recorder, failures))
     return done
 
 
@@ -199,13 +197,11 @@ def _some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
     return None if values is None else [values[number] for number in numbers]
 
 
-def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses | None]:
+def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses]:
     """Return what makes the stresses of unit loads of a case, integrated once for all alike."""
     made: dict[Hashable, CaseStresses] = {}
 
-    def stresses(case: Case) -> CaseStresses | None:
-        if case.stress is None:
-            return None
+    def stresses(case: Case) -> CaseStresses:
         key = stress_key(case)
         if key not in made:
             made.clear()

@@ -451,6 +451,11 @@ class LayeredLaw:
         return max(law.length for law in self.laws)
 
     @property
+    def key(self) -> Hashable:
+        """Equal for laws that can be in one block, see ``Law.key``."""
+        return tuple(law.key for law in self.laws)
+
+    @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times, s, at which a parameter's table bends."""
         return tuple(sorted({time for law in self.laws for time in law.breakpoints}))
