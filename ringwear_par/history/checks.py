@@ -188,8 +188,8 @@ def _measures(block: Block, state: State) -> dict[str, Any]:
 def instability(block: Block, state: State) -> tuple[FloatArray, FloatArray]:
     """Return steps of the explicit scheme over the largest stable ones, and these, (B,) 1 and s.
 
-    2 / lambda_max(W C^-1) while all is in contact, of the slopes W of the rates of both bodies under
-    the largest load, speed and friction of each history.
+    2 / lambda_max(W C^-1) while all is in contact, of the slopes W of the rates of both bodies
+    under the largest load, speed and friction of each history.
     """
     largest, zero = state.pressure.max(axis=1), np.zeros(len(block))
     if block.by_force:

@@ -175,12 +175,8 @@ class Stresses:
         points_only: bool = False,
     ) -> None:
         self._cases, self._points_only, count = cases, points_only, len(cases)
-        #: where they are, None where cases ask for none; the same for all
-        self.places = None if cases[0].stress is None else of(cases[0])
         self._of = of
         self.states: list[list[StressState]] = [[] for _ in range(count)]
-        #: (2, n) mm, the wear of lower and upper in the last of the states
-        self.wear: dict[int, FloatArray] = {}
         self.infinite = [InfiniteEdge()] * count
         #: why stresses of some histories could not be computed
         self.failures: dict[int, Exception] = {}
@@ -205,7 +201,6 @@ class Stresses:
             self.failures[number] = error
             return
         self.states[number].append(state.without_fields() if self._points_only else state)
-        self.wear[number] = moment.wear
         self.infinite[number] = infinite_edge(case, state, moment) or self.infinite[number]
 
     def history(self, number: int = 0) -> StressHistory | None:

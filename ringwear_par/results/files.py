@@ -5,8 +5,7 @@ that is there is whole. Files of other versions need not open.
 """
 
 import io
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +23,7 @@ from ringwear_par.results.result import Checkpoint, Last, Result
 from ringwear_par.results.variables import (
     COORDINATES,
     EDGE_ELEMENT,
-    LAYER,
     SOFTWARE,
-    STATE_NUMBER,
-    UPPER_LAYER,
     VARIABLES,
     Variable,
     axis,
@@ -63,7 +59,7 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
     if "pressure" in data:
         data[EDGE_ELEMENT.name] = edge_elements(data["pressure"]).astype(EDGE_ELEMENT.dtype)
     data |= stress_measures(data) | laboratory_numbers(result)
-    pairs = {name: (_variable(name, data), data[name]) for name in VARIABLES if name in data}
+    pairs = {n: (_variable(n, data[n]), data[n]) for n in VARIABLES if n in data}
     axes: dict[str, tuple[Variable, Any]] = {}
     for name, (variable, values) in pairs.items():
         group = name[: name.rfind("/") + 1]
@@ -74,22 +70,11 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
     return axes | pairs
 
 
-def _variable(name: str, data: Mapping[str, Any]) -> Variable:
-    """Return a variable as a result has it.
-
-    Fields along the contact line may be those of the last step alone. Layers of upper have an axis
-    of their own where lower has other numbers of them.
-    """
+def _variable(name: str, values: Any) -> Variable:
+    """Return a variable; fields along the contact line may be those of the last step alone."""
     variable = VARIABLES[name]
-    if name == "step" and "steps_made" in data:
-        return STATE_NUMBER
-    if np.ndim(data[name]) < len(variable.dimensions):
-        return variable.at_last_step()
-    if UPPER_LAYER.name in variable.dimensions and np.ndim(data[name]) > 1:
-        lower = data.get("worn_volume_lower_layers")
-        if lower is None or lower.shape[1] == data[name].shape[1]:
-            return replace(variable, dimensions=(*variable.dimensions[:-1], LAYER.name))
-    return variable
+    last = np.ndim(values) < len(variable.dimensions)
+    return variable.at_last_step() if last else variable
 
 
 # -- reading ---------------------------------------------------------------------------------------

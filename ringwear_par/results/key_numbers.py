@@ -12,9 +12,9 @@ from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.results.result import HistoryColumns, Result
+from ringwear_par.results.result import HistoryColumns, Last, Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, stack
+from ringwear_par.schedules import Quantity, Table, in_time, integral, mean
 
 _HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
@@ -65,8 +65,11 @@ def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
     about = result.attributes
     densities = {body: densities_of(result, body) for body in BODIES if about[f"law_{body}"]}
     area, radius = float(about["nominal_area"]), float(about["mean_radius"])
-    work, omega = _normal_work(result), schedule_of(about, "omega")
-    return _numbers(result.data, slice(None), work, omega, area, radius, densities)
+    omega, time = schedule_of(about, "omega"), result.data["time"]
+    return _numbers(
+        result.data, slice(None), _normal_work(result), in_time(omega, time),
+        integral(omega, 0.0, time), area, radius, densities,
+    )  # fmt: skip
 
 
 def end_numbers(
@@ -88,9 +91,10 @@ def end_numbers(
         for i, body in enumerate(BODIES)
         if any(case.laws[i] is not None for case in cases)
     }
+    omega, time = Schedules.of([c.load.omega for c in cases]), columns.histories["time"][last]
     numbers = _numbers(
         {**columns.histories, **columns.layers}, last, normal_work,
-        stack([case.load.omega for case in cases]), cases[0].area, cases[0].mean_radius, densities,
+        omega.at(time), omega.integral(time), cases[0].area, cases[0].mean_radius, densities,
     )  # fmt: skip
     return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
 
@@ -99,7 +103,8 @@ def _numbers(
     data: Mapping[str, Any],
     rows: Any,
     normal_work: FloatArray,
-    omega: Quantity,
+    omega: FloatArray,
+    angle: FloatArray,
     area: float,
     radius: float,
     densities: Mapping[BodyName, FloatArray],
@@ -110,7 +115,7 @@ def _numbers(
     ----------
     data, rows : stored variables by name, and which of their rows are of these states.
     normal_work : (s,) N mm, pressure times sliding distance over all places; NaN where unknown.
-    omega : rad/s.
+    omega, angle : (s,) rad/s, and rad turned since the start.
     area, radius : of the nominal contact, mm2, and its mean, mm.
     densities : (layers + 1,) or (s, layers + 1) g/mm3 of each body that wears, NaN where unknown.
     """
@@ -127,8 +132,8 @@ def _numbers(
             unknown = np.full(worn.shape, np.nan)
             rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
             numbers[f"{name}_wear_rate_{body}"] = rate
-    numbers["sliding_distance"] = 1e-3 * integral(omega, 0.0, time) * radius
-    numbers["pressure_velocity"] = 1e-3 * force / area * in_time(omega, time) * radius
+    numbers["sliding_distance"] = 1e-3 * angle * radius
+    numbers["pressure_velocity"] = 1e-3 * force / area * omega * radius
     return numbers
 
 

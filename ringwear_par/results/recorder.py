@@ -96,7 +96,6 @@ class Recorder:
         if before.stress is not None and self._cases[0].stress is not None:
             if self._cases[0].stress.times != "last":
                 self._stresses.states[0] = [*before.stress.states]
-            self._stresses.wear[0] = before.checkpoint.last.wear
 
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""

@@ -103,12 +103,11 @@ def axis(name: str) -> Variable:
 
 
 ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
-#: coordinate of the stored states where they are numbered, since times of output lie within steps
-STATE_NUMBER = Variable("step", ("step",), "1", "number of the stored state", integer=True)
 # fmt: off
 _AXES = _table(
-    ("step", "step", "1", "number of time steps made", "int"),
-    ("steps_made", "step", "1", "number of time steps made", "int"),  # where states are numbered
+    ("step", "step", "1",
+     "number of time steps made; of the stored state where steps_made is there", "int"),
+    ("steps_made", "step", "1", "number of time steps made", "int"),  # states lie within steps
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
     ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
      "int"),
@@ -131,8 +130,7 @@ HISTORIES = _table(
     ("force", "step", "N", "axial contact force"),
     ("torque", "step", "N mm", "friction torque"),
     ("twist", "step", "mm", "area mean of the circumferential displacement jump"),
-    ("worn_volume_lower", "step", "mm3", "volume lost by the lower ring"),
-    ("worn_volume_upper", "step", "mm3", "volume lost by the upper ring"),
+    *((f"worn_volume_{body}", "step", "mm3", f"volume lost by the {body} ring") for body in BODIES),
     ("dissipated_energy", "step", "N mm", "energy dissipated by friction"),
     ("contact_iterations", "step", "1",
      "iterations of the contact solver since the last stored step", "int"),
@@ -143,10 +141,9 @@ PROFILES = _table(
      "contact pressure, normal to the faces, mean over the element"),
     ("gap", "step element", "mm",
      "gap between the deformed profiles at the element's mid-point, along the axis"),
-    ("wear_lower", "step element", "mm",
-     "depth worn off the lower ring at the element's mid-point, along the axis"),
-    ("wear_upper", "step element", "mm",
-     "depth worn off the upper ring at the element's mid-point, along the axis"),
+    *((f"wear_{body}", "step element", "mm",
+       f"depth worn off the {body} ring at the element's mid-point, along the axis")
+      for body in BODIES),
 )
 #: of every pressure that is stored, see ``edge_elements``
 EDGE_ELEMENT = Variable(

@@ -1,8 +1,7 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.cases.plausible import implausible_numbers, wear_question
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import StressHistory, mises
+from ringwear_par.elasticity.stress.fields import mises
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.checks import (
     ENTRIES,
@@ -45,18 +44,8 @@ _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 _SLIGHT_MISS = 0.01
 #: the largest of each measure of B histories, (ENTRIES, B) each, see ``checks.Worst``
 Measures = Mapping[str, FloatArray]
-
-
-class Check(NamedTuple):
-    """A warning of the histories of B where a mask holds."""
-
-    code: str
-    #: (B,) bool
-    mask: BoolArray
-    #: with names of values in braces
-    sentence: str
-    #: (B,) each, by name
-    values: Mapping[str, Sequence[Any] | FloatArray]
+#: a warning of B histories: its code, where it holds (B,), and its sentence there
+Check = tuple[str, BoolArray, Callable[[int], str]]
 
 
 def warnings_of_histories(
@@ -64,13 +53,11 @@ def warnings_of_histories(
 ) -> list[tuple[ValidityWarning, ...]]:
     """Return the warnings of each of B histories, none of those that have failed."""
     warnings = [[*implausible_numbers(case), *_of_case(case)] for case in cases]
-    for check in _of_states(cases, worst):
-        for i in np.flatnonzero(check.mask).tolist():
-            values = {name: entries[i] for name, entries in check.values.items()}
-            warnings[i].append(ValidityWarning(check.code, check.sentence.format(**values)))
+    for code, mask, sentence in _of_states(cases, worst):
+        for i in np.flatnonzero(mask).tolist():
+            warnings[i].append(ValidityWarning(code, sentence(i)))
     for number, case in enumerate(cases):
-        if case.stress is not None and not failed[number]:
-            warnings[number] += _of_stresses(case, stresses, number)
+        warnings[number] += _of_stresses(case, stresses, number)
     return [() if bad else tuple(w) for bad, w in zip(failed, warnings, strict=True)]
 
 
@@ -139,115 +126,104 @@ def _is_apart(case: Case) -> bool:
 
 
 def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
-    """Yield what is doubted for the worst states of B histories on one contact pair."""
+    """Yield what is doubted for the worst states of B histories on the same contact elements."""
     none = np.zeros((ENTRIES, len(cases)))
     worst = defaultdict(lambda: none, measures)
     times, _, stable, *_ = worst["instability"]
-    yield Check(
-        "unstable_explicit_step", times > 1.0,
-        "explicit scheme: time.step = {step:.6g} s is {times:.3g} times its stability limit; the "
-        "largest stable step on this mesh is {stable:.6g} s, beyond which profiles oscillate",
-        {"step": times * stable, "times": times, "stable": stable},
+    yield "unstable_explicit_step", times > 1.0, lambda i: (
+        f"explicit scheme: time.step = {cases[i].time.step:.6g} s is {times[i]:.3g} times its "
+        f"stability limit; the largest stable step on this mesh is {stable[i]:.6g} s, beyond which "
+        "profiles oscillate"
     )  # fmt: skip
 
-    moved, time, *_ = worst["moved"]
+    moved, when_moved, *_ = worst["moved"]
     # an initial gap, of which another warning tells, does not count
     gaps = np.array([case.smallest_gaps[0] if _is_apart(case) else 0.0 for case in cases])
-    mask = moved - gaps > _MOST_MOVED * np.array([_height(case) for case in cases])
-    questions = [wear_question(c) if deep else "" for c, deep in zip(cases, mask, strict=True)]
-    yield Check(
-        "large_displacement", mask,
-        "approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
-        "height: small displacements and the mesh of the unworn bodies no longer hold{question}",
-        {"moved": moved, "time": time, "question": questions},
+    heights = np.array([_height(case) for case in cases])
+    yield "large_displacement", moved - gaps > _MOST_MOVED * heights, lambda i: (
+        f"approach or wear of {moved[i]:.3g} mm at t = {when_moved[i]:g} s is more than 5 % of a "
+        "body's height: small displacements and the mesh of the unworn bodies no longer hold"
+        f"{wear_question(cases[i])}"
     )  # fmt: skip
 
-    approach, time, *_ = worst["approach"]
-    gaps = np.array([c.smallest_gaps[1] if any(c.open_ends) else np.inf for c in cases])
-    yield Check(
-        "contact_beyond_mesh", approach > gaps,
-        "the approach of {approach:.6g} mm at t = {time:g} s exceeds the smallest gap, {gap:.6g} "
-        "mm, of the faces outside mesh.contact: the bodies may touch there too, and this contact "
-        "is not computed",
-        {"approach": approach, "time": time, "gap": gaps},
+    approach, when_closest, *_ = worst["approach"]
+    outside = np.array([c.smallest_gaps[1] if any(c.open_ends) else np.inf for c in cases])
+    yield "contact_beyond_mesh", approach > outside, lambda i: (
+        f"the approach of {approach[i]:.6g} mm at t = {when_closest[i]:g} s exceeds the smallest "
+        f"gap, {outside[i]:.6g} mm, of the faces outside mesh.contact: the bodies may touch there "
+        "too, and this contact is not computed"
     )  # fmt: skip
 
-    pressure, time, *_ = worst["mean_pressure"]
+    pressure, when_pressed, *_ = worst["mean_pressure"]
     young = np.array([min(m.young for m in case.materials.values()) for case in cases])
-    yield Check(
-        "high_pressure", pressure > _MOST_PRESSED * young,
-        "the mean pressure in contact, {pressure:.3g} MPa at t = {time:g} s, is more than a tenth "
-        "of a Young's modulus, {young:g} MPa: elasticity is no longer linear there",
-        {"pressure": pressure, "time": time, "young": young},
+    yield "high_pressure", pressure > _MOST_PRESSED * young, lambda i: (
+        f"the mean pressure in contact, {pressure[i]:.3g} MPa at t = {when_pressed[i]:g} s, is "
+        f"more than a tenth of a Young's modulus, {young[i]:g} MPa: elasticity is no longer linear "
+        "there"
     )  # fmt: skip
 
     few = np.array([worst[force_measure(count)][:2] for count in range(1, FEW_ELEMENTS)])
     heavy = few[:, 0] > _SLIGHT_LOAD * worst["force"][0]
     fewest = heavy.argmax(axis=0)
-    force, time = few[fewest, :, np.arange(len(cases))].T
-    yield Check(
-        "few_elements_in_contact", heavy.any(axis=0),
-        f"{{count}} of {cases[0].line.n} elements are in contact at t = {{time:g}} s, under "
-        "{force:.4g} N: too few to resolve the contact. Use more elements (mesh.contact_elements), "
-        "or put them where contact is (mesh.contact = [r1, r2])",
-        {"count": fewest + 1, "time": time, "force": force},
+    yield "few_elements_in_contact", heavy.any(axis=0), lambda i: (
+        f"{fewest[i] + 1} of {cases[0].line.n} elements are in contact at t = "
+        f"{few[fewest[i], 1, i]:g} s, under {few[fewest[i], 0, i]:.4g} N: too few to resolve the "
+        "contact. Use more elements (mesh.contact_elements), or put them where contact is "
+        "(mesh.contact = [r1, r2])"
     )  # fmt: skip
 
     torque, reaction, asymmetry = (worst[name][:2] for name in ("torque", "reaction", "asymmetry"))
     reactions = np.where(torque[0] > reaction[0], torque, reaction)
     layered = any(ring.layers for ring in cases[0].rings)
     asymmetric = asymmetry[0] > (_MOST_ASYMMETRIC_FILM if layered else _MOST_ASYMMETRIC)
-    defect, time = np.where(asymmetry[0] > reactions[0], asymmetry, reactions)
+    defect, when_off = np.where(asymmetry[0] > reactions[0], asymmetry, reactions)
     films = ". Under films that are soft or nearly incompressible pressures may be wrong by three "
     films = f"{films}times as much" if layered else ""
-    yield Check(
-        "coarse_mesh", (reactions[0] > _MOST_DEFECT) | asymmetric,
-        "the boundary elements are out of balance, or asymmetric, by {defect:.2g} at worst, at "
-        "t = {time:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are needed" + films,
-        {"defect": defect, "time": time},
+    yield "coarse_mesh", (reactions[0] > _MOST_DEFECT) | asymmetric, lambda i: (
+        f"the boundary elements are out of balance, or asymmetric, by {defect[i]:.2g} at worst, at "
+        f"t = {when_off[i]:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are needed"
+        f"{films}"
     )  # fmt: skip
 
-    yield from _of_layers(cases, worst)
+    for body, ring in enumerate(cases[0].rings):
+        for layer in range(len(ring.layers)):
+            if worn_share(body, layer) in worst:  # elements do not follow the wear
+                yield _worn_layer(cases, body, layer, worst[worn_share(body, layer)])
 
-    share, time, r, lower, upper, acts = worst["unlike_slopes"]
+    share, when_aside, r, lower, upper, acts = worst["unlike_slopes"]
     advice = '; mesh.geometry = "updated" follows the worn faces' * (not cases[0].follows_wear)
-    yield Check(
-        "unlike_slopes", share > _LOAD_ASIDE,
-        f"{{share:.2g}} % of the load at t = {{time:g}} s is borne where the direction of the "
-        f"pressure is more than {MOST_ANGLE:g} degrees off the normal of a face: at r = {{r:.6g}} "
-        "mm lower slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the pressure acts as "
-        f"on a slope of {{acts:.3g}} degrees{advice}",
-        {"share": 100.0 * share, "time": time, "r": r, "lower": lower, "upper": upper,
-         "acts": acts},
+    yield "unlike_slopes", share > _LOAD_ASIDE, lambda i: (
+        f"{100.0 * share[i]:.2g} % of the load at t = {when_aside[i]:g} s is borne where the "
+        f"direction of the pressure is more than {MOST_ANGLE:g} degrees off the normal of a face: "
+        f"at r = {r[i]:.6g} mm lower slopes by {lower[i]:.3g}, upper by {upper[i]:.3g} degrees, "
+        f"and the pressure acts as on a slope of {acts[i]:.3g} degrees{advice}"
     )  # fmt: skip
 
 
-def _of_layers(cases: Sequence[Case], worst: Measures) -> Iterator[Check]:
-    """Yield which layers of another modulus were worn that elasticity still has."""
-    for body, name in enumerate(BODIES):
-        young = np.array(
-            [[*(layer.young for layer in case.rings[body].layers), case.rings[body].young]
-             for case in cases]
-        )  # fmt: skip
-        for layer, (this, below) in enumerate(zip(young.T[:-1], young.T[1:], strict=True)):
-            if worn_share(body, layer) not in worst:  # elements follow the wear
-                continue
-            share, time, *_ = worst[worn_share(body, layer)]
-            other = np.abs(this / below - 1.0) > _OTHER_MODULUS
-            yield Check(
-                "worn_layer", (share > _MOST_OF_LAYER) & other,
-                f"{{share:.0f}} % of {name}.layers[{layer}] is worn off where it bears load at "
-                "t = {time:g} s, but elasticity is computed with the unworn layer, whose modulus "
-                "is {this:g} MPa over {below:g} MPa under it. "
-                'mesh.geometry = "updated" follows the wear of layers',
-                {"share": 100.0 * share, "time": time, "this": this, "below": below},
-            )  # fmt: skip
+def _worn_layer(cases: Sequence[Case], body: int, layer: int, worn: FloatArray) -> Check:
+    """Return where a layer of another modulus was worn that elasticity still has."""
+    share, time, *_ = worn
+    rings = [case.rings[body] for case in cases]
+    young = [[*(each.young for each in ring.layers), ring.young] for ring in rings]
+    this, below = np.array(young).T[layer : layer + 2]
+    mask = (share > _MOST_OF_LAYER) & (np.abs(this / below - 1.0) > _OTHER_MODULUS)
+    return "worn_layer", mask, lambda i: (
+        f"{100.0 * share[i]:.0f} % of {BODIES[body]}.layers[{layer}] is worn off where it bears "
+        f"load at t = {time[i]:g} s, but elasticity is computed with the unworn layer, whose "
+        f"modulus is {this[i]:g} MPa over {below[i]:g} MPa under it. "
+        'mesh.geometry = "updated" follows the wear of layers'
+    )  # fmt: skip
 
 
 def _of_stresses(case: Case, stresses: Stresses, number: int) -> Iterator[ValidityWarning]:
-    """Yield what is doubted about the stresses of a history, of which the observer has a number."""
-    history, (stress, time, r) = stresses.history(number), stresses.infinite[number]
-    assert history is not None
+    """Yield which largest stresses of a history lie where stress is infinite.
+
+    That is beside an edge of contact, and beside the free ends of interfaces, where stresses rise;
+    beyond ``stress.exclude`` a few elements are near.
+    """
+    if (history := stresses.history(number)) is None:
+        return
+    stress, time, r = stresses.infinite[number]
     grows = f"grows as stress.exclude, now {history.exclude:g} mm, is made smaller"
     if stress and time in [state.time for state in history.states]:
         yield ValidityWarning(
@@ -256,62 +232,22 @@ def _of_stresses(case: Case, stresses: Stresses, number: int) -> Iterator[Validi
             f"edge of contact at r = {r:.6g} mm, where stress is infinite until wear has rounded "
             f"the edge: this number {grows}",
         )
-    for (body, layer, r), (time, stress, z) in _infinite_ends(case, history).items():
-        yield ValidityWarning(
-            "infinite_stress_at_interface",
-            f"the largest von Mises stress of {body} at t = {time:g} s, {stress:.5g} MPa, is "
-            f"beside the free edge of the interface under {body}.layers[{layer}], at r = {r:.6g}, "
-            f"z = {z:.6g} mm, where stress between two materials is infinite: this number {grows}",
-        )
-    yield from _worn_points(case, history, stresses, number)
-
-
-def _infinite_ends(
-    case: Case, history: StressHistory
-) -> dict[tuple[str, int, float], tuple[float, float, float]]:
-    """Return the free ends of interfaces, where stresses rise, that a largest stress was beside.
-
-    By body, the layer over the interface, and radius (mm): the last time (s), the stress (MPa), and
-    the height of the end (mm). Beyond ``stress.exclude`` a few elements are near.
-    """
-    ends: dict[tuple[str, int, float], tuple[float, float, float]] = {}
+    ends: dict[tuple[str, int, float], str] = {}  # the last state at each
     for state in history.states:
-        for i, (body, highest) in enumerate(zip(BODIES, state.largest, strict=True)):
-            middles, radii = history.interfaces[i].r, case.rings[i].r
-            for layer, z in enumerate(history.interfaces[i].z.tolist()):
-                values = mises(state.interfaces[i][layer]).max(axis=0)
-                for r, end, further in zip(radii, (0, -1), (3, -4), strict=True):
-                    reach = history.exclude * (1.0 + 1e-6) + 6.0 * abs(middles[end] - r)
+        for body, ring, highest, line, sides in zip(
+            BODIES, case.rings, state.largest, history.interfaces, state.interfaces, strict=True
+        ):
+            for layer, z in enumerate(line.z.tolist()):
+                values = mises(sides[layer]).max(axis=0)
+                for r, end, further in zip(ring.r, (0, -1), (3, -4), strict=True):
+                    reach = history.exclude * (1.0 + 1e-6) + 6.0 * abs(line.r[end] - r)
                     near = np.hypot(highest.r - r, highest.z - z) <= reach
                     if r > 0.0 and near and values[end] > RISING * values[further]:
-                        ends[body, layer, r] = state.time, highest.mises, z
-    return ends
-
-
-def _worn_points(
-    case: Case, history: StressHistory, stresses: Stresses, number: int
-) -> Iterator[ValidityWarning]:
-    """Yield whether points of stress lie where wear has been at the last of its states.
-
-    Points on faces are of the faces as they are, and points in layers that are worn through have no
-    stress: they are left out.
-    """
-    places, wear = stresses.places, stresses.wear.get(number)
-    if places is None or wear is None or case.follows_wear:
-        return
-    bodies, depths, state = places.of_points, places.depths, history.states[-1]
-    under = case.line.element_at(history.points[:, 0])
-    worn = np.where(under >= 0, wear[bodies, under], 0.0)
-    computed = np.isfinite(state.points).all(axis=1)
-    points = np.flatnonzero(computed & (depths > 0.0) & (worn > depths)).tolist()
-    if points:
-        first, more = points[0], len(points) - 1
-        r, z = history.points[first]
-        yield ValidityWarning(
-            "worn_points",
-            f"stress.points[{first}], at r = {r:.6g}, z = {z:.6g} mm, lies {depths[first]:.4g} mm "
-            f"under the unworn face of {BODIES[bodies[first]]}, and {worn[first]:.4g} mm is worn "
-            f"off there at t = {state.time:g} s"
-            + f" ({more} more likewise)" * bool(more)
-            + ': with mesh.geometry = "fixed" stresses are those of the unworn shape',
-        )
+                        ends[body, layer, r] = (
+                            f"the largest von Mises stress of {body} at t = {state.time:g} s, "
+                            f"{highest.mises:.5g} MPa, is beside the free edge of the interface "
+                            f"under {body}.layers[{layer}], at r = {r:.6g}, z = {z:.6g} mm, where "
+                            f"stress between two materials is infinite: this number {grows}"
+                        )
+    for text in ends.values():
+        yield ValidityWarning("infinite_stress_at_interface", text)

@@ -148,22 +148,6 @@ def test_points_have_no_stress_in_layers_that_are_worn_through(through):
         np.testing.assert_array_equal(on_grid[1:-1, 1], ~gone[under][1:-1])
 
 
-def test_points_in_material_that_is_worn_away_are_doubted():
-    """Not on faces, nor where a layer has gone, nor where elements follow."""
-
-    def doubted(points, geometry="fixed"):
-        found = worn_through(geometry, 30.0, stress__points=points)
-        texts = [doubt.text for doubt in found.doubts]
-        return [text for text in texts if "stress.points" in text]
-
-    face, layer, shallow, deep = [30.0, 20.0, "below"], [30.0, 19.999], [30.0, 19.996], [30.0, 19.9]
-    assert doubted([face, layer, deep, [25.0, 19.9999]]) == []
-    (text,) = doubted([face, layer, deep, shallow, [29.0, 19.9965]])
-    for words in ("stress.points[3]", "r = 30, z = 19.996", "0.004 mm", "1 more"):
-        assert words in text
-    assert doubted([shallow], "updated") == []
-
-
 def test_the_largest_stress_beside_a_free_edge_of_an_interface_is_doubted(result):
     def doubted(of):
         return [one.text for one in of.doubts if "free edge of the interface" in one.text]

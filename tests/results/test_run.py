@@ -18,7 +18,7 @@ TOO_MUCH = [*SMALL, "wear.lower.k=1e-3", "time.step=20"]
 def state_of(path):
     """Status and last step of a run."""
     result = open_result(path)
-    return result.attributes["status"], int(result.checkpoint.progress.steps)
+    return result.attributes["status"], int(result.checkpoint.start.progress.steps[0])
 
 
 @pytest.fixture
