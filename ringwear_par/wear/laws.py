@@ -102,7 +102,8 @@ def power(p: FloatArray, at: LocalState, k: FloatArray, m: FloatArray, n: FloatA
     apart, and k on a logarithmic scale.
     """
     p = np.maximum(p, 0.0)  # trials of solvers may be negative
-    slope = (k * at.speed**n) * p ** (m - 1.0)
+    speed = at.speed if np.all(n == 1.0) else at.speed**n
+    slope = (k * speed) * p ** (m - 1.0)
     return p * slope, m * slope
 
 
@@ -248,10 +249,8 @@ class Kind:
         return Law(replace(self, formula=f"rate(p, at) of {code.called}"), values, code)
 
 
-_K, _P0 = (
-    Parameter("k", "1/MPa", "wear coefficient"),
-    Parameter("p0", "MPa", "threshold pressure", default=0.0),
-)
+_K = Parameter("k", "1/MPa", "wear coefficient")
+_P0 = Parameter("p0", "MPa", "threshold pressure", default=0.0)
 _START = Parameter("k_start", "1/MPa", "wear coefficient at the start, k or larger", at_least="k")
 _FALLS = "over which k_start - k falls by the factor e"
 _DEPTH = Parameter("depth", "mm", f"worn depth {_FALLS}", "number", None, ends=False)
@@ -304,11 +303,11 @@ class Law:
         """Return the law of a user's object, whose numbers are its parameters; a law as it is."""
         if isinstance(law, Law):
             return law
-        code, names = UserCode(type(law).__name__, law), []
+        code, values = UserCode(type(law).__name__, law), {}
         if is_dataclass(law) and not isinstance(law, type):
-            names = [field.name for field in fields(law)]
-        values = {name: getattr(law, name) for name in names}
-        return cls(Kind(code.called, user, f"{code.called}.rate(p, local)"), values, code)
+            values = {field.name: getattr(law, field.name) for field in fields(law)}
+        numbers = {name: number for name, number in values.items() if isinstance(number, float)}
+        return cls(Kind(code.called, user, f"{code.called}.rate(p, local)"), numbers, code)
 
     def __repr__(self) -> str:
         values = ", ".join(f"{k}={v!r}" for k, v in self.values.items() if v is not None)
@@ -358,7 +357,7 @@ class Law:
     @property
     def arguments(self) -> dict[str, Quantity | FloatArray]:
         """What the function takes besides pressure and state."""
-        if "table" in self.values:
+        if self.kind.function is table:
             return dict(zip("xy", np.array(self.values["table"], dtype=float).T, strict=True))
         return {name.removeprefix("parameters."): q for name, q in self.quantities.items()}
 
@@ -414,10 +413,10 @@ class Law:
 
     def describe(self) -> str:
         """Return the formula with its numbers and units."""
-        if "table" in self.values:
+        if self.kind.function is table:
             (x, y), count = self.values["table"][-1], len(self.values["table"])
-            formula = self.kind.formula
-            return f"{formula}, {count} of them to {y:.10g} mm/s at p V = {x:.10g} MPa mm/s"
+            end = f"{y:.10g} mm/s at p V = {x:.10g} MPa mm/s"
+            return f"{self.kind.formula}, {count} of them to {end}"
         parts = []
         for name, q in (self.quantities | ({"length": self.length} if self.length else {})).items():
             number = f"{q:.10g}" if isinstance(q, float | int) else quantity_text(q)

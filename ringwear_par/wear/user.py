@@ -232,15 +232,12 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
         rates = np.array([code.values(row, local)[0] for row in p])
     except LawError as error:
         raise InputError(str(error)) from error
-    if rates[0].any():
-        e = int(rates[0].argmax())
-        fault = f"gives {rates[0, e]:g}{_place(local, e, 0.0)}; must be 0 without pressure"
-        raise InputError(f"{code.called}: rate() {fault}")
     falls = np.diff(rates, axis=0) < -1e-12 * rates.max()
-    if falls.any():
-        i, e = (int(v[0]) for v in np.nonzero(falls))
-        fault = f"falls from {rates[i, e]:g} to {rates[i + 1, e]:g}{_place(local, e, p[i + 1, e])}"
-        raise InputError(f"{code.called}: rate() {fault}; must not fall with pressure")
+    for i, e in np.argwhere([rates[0] != 0.0, *falls])[:1].tolist():
+        what = f"falls from {rates[i - 1, e]:g} to" if i else "gives"
+        must = "must not fall with pressure" if i else "must be 0 without pressure"
+        place = _place(local, e, p[i, e])
+        raise InputError(f"{code.called}: rate() {what} {rates[i, e]:g}{place}; {must}")
 
 
 def _place(local: LocalState, element: int, p: float) -> str:

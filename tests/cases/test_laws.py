@@ -20,7 +20,7 @@ def test_a_case_takes_a_law_with_a_rate_alone():
 
     case = replace(read_case(PAPER), wear_lower=Mine(1e-8))
     lower, upper = case.laws
-    assert (lower.user_object, upper) == (Mine(1e-8), None)
+    assert (lower.code.source, upper) == (Mine(1e-8), None)
     assert lower.describe() == "Mine.rate(p, local) with k = 1e-08"
     assert case.breakpoints == ()
 

@@ -1,7 +1,7 @@
 """Layers in case files: what is read, set and varied of them."""
 
 import numpy as np
-from parts import ArchardLaw, LayeredLaw, Material, NoWear, ThresholdLaw, bodies, operator_key
+from parts import NO_WEAR, ArchardLaw, LayeredLaw, Material, ThresholdLaw, bodies, operator_key
 from paths import CASES
 
 import ringwear_par as rw
@@ -51,7 +51,7 @@ def test_layers_have_densities_of_their_own():
 
 def test_a_layer_may_wear_on_a_body_that_does_not():
     case = rw.read_case(CASE, {"wear.lower": None, "wear.lower.law": None, "wear.lower.k": None})
-    assert case.laws[0].laws == (ThresholdLaw(2e-8), NoWear())
+    assert case.laws[0].laws == (ThresholdLaw(2e-8), NO_WEAR)
 
 
 def test_a_layer_ends_below_a_face_that_recedes():

@@ -1,11 +1,11 @@
 """Cases from files, dicts and overrides: the same checks, and nothing that is given in vain."""
 
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from paths import CASES, PAPER
+from wearing import ThresholdLaw
 
 import ringwear_par as rw
 from ringwear_par.cases.files.keys import read_keys
@@ -73,10 +73,10 @@ def test_replace_is_a_changed_and_checked_copy():
 
 def test_a_table_takes_the_place_of_the_one_before():
     case = read_case(PAPER)
-    assert case.wear_lower.p0 > 0.0
+    assert case.wear_lower.values["p0"] > 0.0
     table = {"law": "threshold", "k": 2e-7}
     for changes in ({"wear.lower": table}, ["wear.lower={law='threshold', k=2e-7}"]):
-        assert read_case(PAPER, changes).wear_lower == replace(case.wear_lower, k=2e-7, p0=0.0)
+        assert read_case(PAPER, changes).wear_lower == ThresholdLaw(2e-7)
     grid = ["stress.grid={r=[28, 32], z=[19, 21], n=[5, 4]}"]
     with pytest.raises(rw.InputError, match=r"stress\.grid\.n is missing"):
         read_case(PAPER, grid).replace({"stress.grid": {"r": [28.0, 30.0], "z": [19.0, 20.0]}})
@@ -92,7 +92,7 @@ def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
     law = (CASES / "user_law.py").read_text()
     (tmp_path / "user_law.py").write_text(law, encoding="utf-8-sig")
     path.write_text((CASES / "user_law.toml").read_text(), encoding="utf-8-sig")
-    assert read_case(path).wear_lower.source == law
+    assert read_case(path).wear_lower.code.source == law
 
 
 @pytest.mark.parametrize(

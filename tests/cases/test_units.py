@@ -51,7 +51,7 @@ def test_parameters_of_a_users_law_are_in_the_units_of_a_case():
             "energy": "3 J", "density": "1.9 g/cm3", "plain": 5}  # fmt: skip
     changes = {f"wear.lower.parameters.{name}": value for name, value in keys.items()}
     law = rw.read_case(CASES / "user_law.toml", changes).wear_lower
-    values = {name: law.quantity(f"parameters.{name}") for name in keys}
+    values = {name: law.quantities[f"parameters.{name}"] for name in keys}
     assert values.pop("p1").x == (0.0, 3600.0)
     assert values == pytest.approx({
         "k": 2e-7, "speed": 2.0 * np.pi, "energy": 3000.0, "density": 1.9e-3, "plain": 5.0,

@@ -5,10 +5,17 @@ Tests of a room import that room, ``ringwear_par`` and helpers: what moves is ch
 
 from importlib import import_module
 
+from wearing import ArchardLaw as ArchardLaw
+from wearing import NonLocalLaw as NonLocalLaw
+from wearing import PowerLaw as PowerLaw
+from wearing import RunningInLaw as RunningInLaw
+from wearing import ThresholdLaw as ThresholdLaw
+
 #: names by the module that they are in
 PLACES = {
     "arrays": "derivative share",
     "cases.case": "Load Output Ring RingLayer Stepping",
+    "cases.files.law_trials": "refuse_bad_laws",
     "cases.files.reading": "make_case parse_case",
     "cases.files.weighings": "read_weighings",
     "cases.units": "factor named_unit unit_of_column",
@@ -24,9 +31,7 @@ PLACES = {
     "files.smoothing": "curve penalised",
     "files.spreadsheets": "write_xlsx",
     "files.text": "parse_toml toml_text",
-    "history.elastic": "bodies operator_key young",
-    "history.elastic.compliances": "Compliances",
-    "history.elastic": "boundary_recovery updated_geometry",
+    "history.elastic": "bodies boundary_recovery operator_key updated_geometry",
     "history.loop": "simulate_one",
     "history.observers.trace": "Trace trace",
     "history.physics": "Physics",
@@ -58,14 +63,7 @@ PLACES = {
     "studies.sweep": "run_sweep",
     "studies.together": "computed",
     "studies.pictures.plot": "plot_stored",
-    "wear.increment": "Closing WearIncrement",
-    "wear.law": "stack_laws",
-    "wear.laws.archard": "ArchardLaw",
-    "wear.laws.non_local": "NonLocalLaw averaging",
-    "wear.laws.power": "PowerLaw",
-    "wear.laws.running_in": "RunningInLaw",
-    "wear.laws.threshold": "ThresholdLaw",
-    "wear.layered": "LayeredLaw NoWear",
+    "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging threshold",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}
 

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from wearing import ThresholdLaw
 
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: Poisson's ratio of all of them
 NU = 0.3

@@ -1,19 +1,23 @@
-"""Implicit steps of wear for tests that know the power of friction only."""
+"""Wear laws for tests, by the values of their parameters in order: ``ThresholdLaw(1e-7, 40.0)``."""
 
 import numpy as np
 
 from ringwear_par.wear import LocalState
-from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.laws import LAWS
+
+
+def _of_kind(name):
+    kind = LAWS[name]
+    return lambda *values, **more: kind.law(**dict(zip(kind.parameters, values)), **more)  # noqa: B905
+
+
+ThresholdLaw, ArchardLaw, PowerLaw, TableLaw, RunningInLaw, NonLocalLaw = map(
+    _of_kind, ("threshold", "archard", "power", "table", "running-in", "non-local")
+)
 
 
 def sliding(power, time=0.0, wear=None):
-    """Return the sliding whose mu V is ``power`` (mu = 1)."""
+    """Return the sliding of one history whose mu V is ``power`` (mu = 1)."""
     nothing = np.zeros_like(power)
     r = np.linspace(28.5, 31.5, len(power))
     return LocalState(time, r, power, 1.0, nothing if wear is None else wear, nothing)
-
-
-def step_wear(laws, power, step):
-    """Return the wear of one step under one or two laws."""
-    at = sliding(power)
-    return WearIncrement((*laws, None)[:2], (at, at), step)

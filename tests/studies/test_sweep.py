@@ -8,7 +8,7 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
-from parts import HISTORIES, PROFILES, ThresholdLaw, parse_case
+from parts import HISTORIES, PROFILES, Law, parse_case, threshold
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
 import ringwear_par as rw
@@ -178,16 +178,18 @@ def test_a_folder_of_another_study_or_version_is_refused(
 
 
 def raising(monkeypatch, message="this law blows up"):
-    """Have the law raise for one of COEFFICIENTS."""
-    original = ThresholdLaw.line
+    """Have the law give no numbers for one of COEFFICIENTS, for a reason."""
+    original = Law.function
 
-    def line(self, local):
-        if abs(self.k - 1e-7) < 1e-12:
-            raise RuntimeError(message)
-        return original(self, local)
+    def some(p, at, k, p0):
+        rate, rise = threshold(p, at, k, p0)
+        return np.where(np.isclose(k, 1e-7), np.nan, rate), rise
 
-    monkeypatch.setattr(ThresholdLaw, "line", line)
-    return lambda: monkeypatch.setattr(ThresholdLaw, "line", original)
+    monkeypatch.setattr(Law, "function", property(lambda law: some))
+    for name in ("contact_failure", "step_failure"):
+        where = f"ringwear_par.history.loop.{name}"
+        monkeypatch.setattr(where, lambda *_: rw.ComputationError(message))
+    return lambda: monkeypatch.setattr(Law, "function", original)
 
 
 def test_a_failed_case_is_a_row_and_the_others_go_on(write, tmp_path, comm, monkeypatch):
