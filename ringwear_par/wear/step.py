@@ -177,11 +177,14 @@ class StepWear:
             growth = 1.0 - step * by_wear
             change = (step * np.maximum(rate, 0.0) - depth) / growth
             depth = np.maximum(depth + change, 0.0)
-            if not np.abs(change).max() > _SETTLED * depth.max():  # or NaN
+            left = np.abs(change) > _SETTLED * depth.max()
+            if not left.any():  # or NaN
                 break
-        near[slice(None) if rows is None else rows] = np.nan_to_num(depth)
+        lost = left | ~(growth > 0.0)  # wear that grows faster than the step can follow
+        near[slice(None) if rows is None else rows] = np.nan_to_num(np.where(lost, 0.0, depth))
         below = rate <= 0.0  # there the line goes on below zero
-        return np.where(below, step * rate, depth), step * np.where(below, rise, rise / growth)
+        depth = np.where(below, step * rate, np.where(lost, np.nan, depth))
+        return depth, step * np.where(below, rise, rise / growth)
 
     def _rate(
         self,
