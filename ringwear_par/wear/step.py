@@ -163,8 +163,12 @@ class StepWear:
             slopes.append(slope)
         if len(consts) == 1:  # without a copy
             return consts[0][None], slopes[0][None]
-        shape = -1, self._wear.shape[1] if rows is None else len(rows), self._wear.shape[2]
-        return np.array(consts).reshape(shape), np.array(slopes).reshape(shape)
+        shape = self._wear.shape[1:] if rows is None else (len(rows), self._wear.shape[2])
+        const, slope = (
+            np.array([np.broadcast_to(values, shape) for values in of_bodies])
+            for of_bodies in (consts, slopes)
+        )
+        return const, slope
 
     def _settled(
         self, i: int, body: Wearing, p: FloatArray, rows: IntArray | None, step: FloatArray

@@ -1,4 +1,4 @@
-"""Histories whose steps a test changes: schemes are loaded once, patches of modules miss them."""
+"""Histories whose steps a test changes."""
 
 from functools import partial
 
@@ -6,13 +6,6 @@ from ringwear_par.history import loop
 
 
 def change_steps(patch, change):
-    """Let histories step by ``change(step, physics, contacts, state, end)``: step is the scheme."""
-    method_of = loop.method_of
-
-    def changed(name):
-        method = method_of(name)
-        return method._replace(
-            scheme=partial(change, method.scheme), within=partial(change, method.within)
-        )
-
-    patch.setattr(loop, "method_of", changed)
+    """Let histories step by ``change(scheme, block, solver, state, end, pace)``."""
+    for name, scheme in loop._SCHEMES.items():
+        patch.setitem(loop._SCHEMES, name, partial(change, scheme))

@@ -77,7 +77,7 @@ def test_saved_and_opened_it_is_the_same(computed, tmp_path, extra):
     again, copy = open_result(str(path)), tmp_path / "copy.h5"
     again.save(str(copy))
     assert_same(path, copy)
-    assert (again.checkpoint.state.meshed_wear is not None) == bool(extra)
+    assert (again.checkpoint.first.meshed is not None) == bool(extra)
     np.testing.assert_equal(attributes(copy), attributes(path))
     np.testing.assert_array_equal(again.line.edges, result.line.edges)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.h5", "run.h5"]
@@ -118,7 +118,7 @@ def test_the_summary_has_a_tribologists_numbers():
     result = rw.simulate(rw.read_case(PAPER, changes), MPI.COMM_SELF)
     numbers, ends, speed = result.to_dict()["numbers"], result.histories, 2.0 * np.pi * 30.0
     for name, unit, value in (
-        ("largest_pressure", "MPa", result.checkpoint.state.contact.pressure.max()),
+        ("largest_pressure", "MPa", result.checkpoint.last.pressure.max()),
         ("torque", "N m", 1e-3 * ends["torque"][-1]),
         ("dissipated_energy", "J", 1e-3 * ends["dissipated_energy"][-1]),
         ("speed", "mm/s", speed),
