@@ -131,7 +131,7 @@ class TaoContact:
             self._pose(row, error[row], 0.0, wear)
             self._x.setArray(np.append(p[row] / self._to_pressure, 0.0)[self._rows])
             self._set_jacobian(None, self._x, self._jacobian, None)
-            # as zeroRows would do it, which in PETSc 3.18 sets every diagonal of an MPI dense matrix
+            # as zeroRows does it, which in PETSc 3.18 sets all diagonals of MPI dense matrices
             apart = np.flatnonzero(p[row, self._own] <= 0.0)
             values = self._jacobian.getDenseArray()
             values[apart] = 0.0
