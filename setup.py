@@ -12,6 +12,8 @@ if platform.machine() in ("x86_64", "AMD64"):
     FLAGS.append("-mprefer-vector-width=512")
 # sums in any order, of numbers that are finite
 SUMS = ["-fno-signed-zeros", "-fassociative-math", "-freciprocal-math", "-ffinite-math-only"]
+# counters that never overflow, unlike Python's own flags: a third of the time
+SUMS += ["-fno-wrapv", "-funroll-loops"]
 
 
 def extension(room: str, name: str, flags: list[str]) -> Extension:
@@ -30,7 +32,7 @@ setup(
     ext_modules=cythonize(
         [
             extension("elasticity", "_rings", FLAGS),
-            extension("contact", "_rows", [*FLAGS, *SUMS, "-funroll-loops"]),
+            extension("contact", "_rows", [*FLAGS, *SUMS]),
         ],
         build_dir="build",
     )

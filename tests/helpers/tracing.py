@@ -1,0 +1,117 @@
+"""Wear histories with all their states."""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.batched import one
+from ringwear_par.contact.problem import Contact
+from ringwear_par.contact.tao import TaoContact
+from ringwear_par.history.block import Block
+from ringwear_par.history.checks import Worst
+from ringwear_par.history.elastic import assemble
+from ringwear_par.history.following import Following
+from ringwear_par.history.loop import simulate
+from ringwear_par.history.loop import first_contact as of_block
+
+ALONE = MPI.COMM_SELF
+
+
+@dataclass
+class History:
+    """The states of one history, without the axis of histories; wear and rates of both bodies."""
+
+    block: Block
+    worst: Worst
+    states: list[SimpleNamespace]
+    following: Following | None
+
+    @property
+    def line(self):
+        return self.block.line
+
+    @property
+    def last(self):
+        return self.states[-1]
+
+    @property
+    def steps(self):
+        return int(self.last.steps)
+
+    @property
+    def balances(self):
+        return self.worst.balances(0)
+
+    @property
+    def times(self):
+        return [state.time for state in self.states]
+
+    def at(self, time):
+        """Return the state at a time, s."""
+        return next(s for s in self.states if abs(s.time - time) <= 1e-9 * time)
+
+    def torque_over_friction(self, p):
+        return self.block.moment(p[None])[0]
+
+
+def state_of(block, state, number=0):
+    """Return one of the states of a block."""
+    both = replace(state, wear=block.both(state.wear), rates=block.both(state.rates))
+    meshed = None if state.meshed is None else block.both(state.meshed)[:, number]
+    values = vars(one(both, number))
+    own = {n: float(v) if isinstance(v, np.ndarray) and not v.ndim else v for n, v in values.items()}
+    p = own["pressure"]
+    gap = block.compliance.gap(block.worn_gap(state.wear), state.pressure, state.approach)[number]
+    force = float(block.line.area @ p)
+    return SimpleNamespace(**{**own, "meshed": meshed, "gap": gap, "force": force})
+
+
+def traces(cases, pairs=None, *, step_times=None, paces=None, solver=None):
+    """Return the histories of a block of cases, and why some failed."""
+    pairs = pairs or [assemble(cases[0], ALONE)] * len(cases)
+    whole = Block.of(cases, pairs, step_times, paces)
+    found = [History(whole, Worst(1), [], None) for _ in cases]
+
+    def save(instant):
+        for place, number in enumerate(instant.block.number.tolist()):
+            found[number].states.append(state_of(instant.block, instant.state, place))
+
+    return found, simulate(whole, save, solver=solver, every=True)
+
+
+def trace(case, pair=None, *, tao=False, step_times=None):
+    """Return a history with all its states; raise what ends it early.
+
+    Parameters
+    ----------
+    tao : whether contacts are solved by TAO rather than as in blocks.
+    """
+    following = Following(case, ALONE) if case.follows_wear else None
+    pair = following.pair if following is not None else pair or assemble(case, ALONE)
+    block = Block.of([case], [pair], None if step_times is None else [step_times])
+    history = History(block, Worst(1), [], following)
+
+    def save(instant):
+        history.block = instant.block
+        history.worst(instant)
+        history.states.append(state_of(instant.block, instant.state))
+
+    if tao or following is not None:
+        with TaoContact(block.compliance, block.by_force) as solver:
+            failures = simulate(block, save, solver=solver, following=following, every=True)
+    else:
+        failures = simulate(block, save, every=True)
+    for error in failures.values():
+        raise error
+    return history
+
+
+def first_contact(case, comm=ALONE):
+    """Return the contact of a case before any wear, by TAO, with its force (N)."""
+    contact: Contact = of_block(case, comm)
+    p = contact.pressure[0]
+    assert not contact.failed.any()
+    return SimpleNamespace(pressure=p, approach=float(contact.approach[0]),
+                           force=float(case.line.area @ p))  # fmt: skip
