@@ -165,7 +165,7 @@ class StepWear:
             return consts[0][None], slopes[0][None]
         shape = self._wear.shape[1:] if rows is None else (len(rows), self._wear.shape[2])
         const, slope = (
-            np.array([np.broadcast_to(values, shape) for values in of_bodies])
+            np.array([np.broadcast_to(v, shape) for v in of_bodies]).reshape(-1, *shape)
             for of_bodies in (consts, slopes)
         )
         return const, slope
