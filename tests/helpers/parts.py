@@ -7,7 +7,7 @@ from importlib import import_module
 
 #: names by the module that they are in
 PLACES = {
-    "arrays": "derivative share",
+    "arrays": "derivative",
     "cases.case": "Load Output Ring RingLayer Stepping",
     "cases.files.reading": "make_case parse_case",
     "cases.files.weighings": "read_weighings",
