@@ -247,7 +247,7 @@ def key_numbers(result: Result) -> list[KeyNumber]:
             ("p_v", "p V", ends["pressure_velocity"], "MPa m/s"),
             ("distance", "distance", ends["sliding_distance"], "m"),
         )),
-        *_stresses(result, state),
+        *_stresses(result),
     ]  # fmt: skip
 
 
@@ -291,30 +291,18 @@ def _worn(result: Result, state: State, i: int, ends: Mapping[str, float]) -> It
 
 
 def _layers(result: Result, state: State, i: int) -> Iterator[_Row]:
-    """Yield the wear of the layers of a body, nothing of one without.
-
-    Time and place of the first wear through a layer are as stored states show them; the time of
-    all layers is exact.
-    """
-    body, line, data = BODIES[i], result.line, result.data
+    """Yield the wear of the layers of a body, nothing of one without."""
+    body, data = BODIES[i], result.data
     if f"share_through_{body}" not in data:
         return
     *volumes, itself = data[f"worn_volume_{body}_layers"][-1].tolist()
     for layer, volume in enumerate(volumes):
         yield f"{body}_volume_layer_{layer}", f"volume of layer {layer}", volume, "mm3"
     yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
-    wear, times = data.get(f"wear_{body}"), data["time"]
-    if wear is None or wear.ndim == 1:
-        wear, times = state.wear[i][None], state.time[None]
     for layer, end in enumerate(data[f"layer_end_{body}"]):
-        gone = wear >= end * (1.0 - _ON)
-        if gone.any():
-            first, label = int(gone.any(axis=1).argmax()), f"area without layer {layer}"
-            r = line.r[np.where(gone[first], wear[first] - end, -np.inf).argmax()]
-            through, percent = f"through_layer_{layer}", 100.0 * share(line.area, gone[-1])
-            yield f"{body}_share_{through}", label, percent, "%"
-            yield f"{body}_time_{through}", f"{label}, first by time", times[first], "s"
-            yield f"{body}_r_{through}", f"{label}, first at radius", r, "mm"
+        if (gone := state.wear[i] >= end * (1.0 - _ON)).any():
+            percent = 100.0 * share(result.line.area, gone)
+            yield f"{body}_share_through_layer_{layer}", f"area without layer {layer}", percent, "%"
     label, percent = "area without layers", 100.0 * data[f"share_through_{body}"][-1]
     yield f"{body}_share_through", label, percent, "%"
     time = result.attributes.get(f"time_through_{body}", np.nan)
@@ -341,13 +329,11 @@ def _pressures(result: Result, contact: ContactState) -> Iterator[_Row]:
     yield "touching", "elements in contact", touching, "", note, ".0f"
 
 
-def _stresses(result: Result, last: State) -> list[KeyNumber]:
+def _stresses(result: Result) -> list[KeyNumber]:
     """Return the largest stress of each body and its layers at the last state that has stresses."""
     if (history := result.stress) is None:
         return []
-    state, rows = history.states[-1], list[_Row]()
-    beside_edge = edge_elements(last.contact.pressure) & (state.time == last.time)
-    group = "largest von Mises stress"
+    state, rows, group = history.states[-1], list[_Row](), "largest von Mises stress"
     if state.time != result.data["time"][-1]:
         group += f" at t = {state.time:g} s"
     if history.exclude:
@@ -355,11 +341,8 @@ def _stresses(result: Result, last: State) -> list[KeyNumber]:
     for body, largest, layers in zip(BODIES, state.largest, state.layers, strict=True):
         if np.isfinite(largest.mises):
             place = f"at r = {largest.r:.6g}, z = {largest.z:.6g} mm"
-            element = int(result.line.element_at(np.array([largest.r]))[0])
-            if element >= 0 and beside_edge[element]:
-                place += ", at an edge of contact"
             rows.append((f"{body}_mises", body, largest.mises, "MPa", place))
-        for i, value in enumerate(np.asarray(layers).tolist()):
+        for i, value in enumerate(layers.tolist()):
             label = f"layer {i} of {body}" if i < len(layers) - 1 else f"{body} itself"
             note = "nothing of it is left there" if np.isnan(value) else ""
             rows.append((f"{body}_mises_{i}", label, value, "MPa", note))

@@ -60,16 +60,11 @@ def test_a_body_with_layers_alone(tmp_path):
     assert rw.open_result(tmp_path / "run.h5").to_xarray().equals(one.to_xarray())
 
 
-def test_key_numbers_say_when_and_where_a_layer_is_gone(result):
-    """Of the first layer by itself, as far as stored states tell."""
+def test_key_numbers_say_how_much_of_a_layer_is_gone(result):
     numbers = {number.name: number.value for number in key_numbers(result)}
-    wear = result.profiles["wear_lower"]
-    gone = wear >= 5e-4 * (1.0 - 1e-12)
-    first = int(gone.any(axis=1).argmax())
-    share = 100.0 * (result.line.area @ gone[-1]) / result.line.area.sum()
+    gone = result.profiles["wear_lower"][-1] >= 5e-4 * (1.0 - 1e-12)
+    share = 100.0 * (result.line.area @ gone) / result.line.area.sum()
     assert numbers["lower_share_through_layer_0"] == pytest.approx(share)
-    assert numbers["lower_time_through_layer_0"] == result.histories["time"][first]
-    assert numbers["lower_r_through_layer_0"] == result.line.r[wear[first].argmax()]
     assert numbers["lower_time_through"] == result.attributes["time_through_lower"]
 
 
