@@ -20,8 +20,13 @@ from ringwear_par.pictures.stresses import (
     highest,
     largest,
 )
-from ringwear_par.results.export import boundary_states
-from ringwear_par.results.fields import check_grid, interfaces_of, nearest_states, stresses
+from ringwear_par.results.fields import (
+    boundaries,
+    check_grid,
+    interfaces_of,
+    nearest_states,
+    stresses,
+)
 from ringwear_par.results.result import Result
 
 #: a panel, or a function that draws what matplotlib alone draws
@@ -116,7 +121,7 @@ KINDS = {
     ),
     "section": Kind(
         _by_result(lambda item: [partial(draw_section, result=item.result, label=item.label)]),
-        lambda result: boundary_states(result)[-1], rows=False, apart=True,
+        lambda result: boundaries(result)[-1], rows=False, apart=True,
     ),
     "stress": Kind(_maps, check_grid),
     "depth": Kind(
