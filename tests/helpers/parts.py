@@ -45,7 +45,6 @@ PLACES = {
     "pictures.run_panels": "HISTORY_PANELS",
     "prediction.predict": "draw_paces fit_draws",
     "prediction.prediction": "TimeTo times_at",
-    "reports.run_page": "profiles",
     "reports.spreadsheets": "export",
     "results.recorder": "Recorder",
     "results.run": "run_case",

@@ -138,21 +138,6 @@ def test_points_on_a_side_have_the_same(layered, comm):
         np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
-def test_many_cases_have_the_stresses_of_single_ones(times, comm):
-    case = case_of(stress__times=times, output__times=[10.0, 60.0], contact__friction=0.2)
-    changes = [{"load.pressure": 50.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
-               {"mesh.geometry": "updated", "mesh.geometry_tolerance": 1.0}]  # fmt: skip
-    cases = [case.replace(change) for change in changes]
-    for each, mine in zip(cases, rw.simulate_all(cases, comm), strict=True):
-        single = rw.simulate(each, comm)
-        assert mine.doubts == single.doubts
-        for a, b in zip(mine.stress.states, single.stress.states, strict=True):
-            assert (a.step, a.time) == (b.step, pytest.approx(b.time, rel=1e-12))
-            np.testing.assert_allclose(a.points, b.points, rtol=1e-8, atol=1e-8)
-            np.testing.assert_allclose(a.grid, b.grid, rtol=1e-8, atol=1e-8)
-
-
 def test_geometry_that_follows_the_wear(plain):
     """Points that wear takes away have no stress any more."""
     fixed = plain.stress.states
