@@ -28,8 +28,6 @@ from ringwear_par.results.variables import (
     POINT_STRESS,
 )
 
-#: components of places, the first two, and of vectors
-DIRECTIONS = ("r", "z", "theta")
 #: ends of the names of the numbers of a ``Largest``
 _LARGEST = {"": "mises", "_r": "r", "_z": "z", "_layer": "layer"}
 #: arrays of a ``StressState`` by the name of its field, the later ones of each body

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import FACES, SIDES
+from ringwear_par.elasticity.stress.fields import COMPONENTS, FACES, SIDES
 
 if TYPE_CHECKING:
     import xarray
@@ -98,10 +98,15 @@ def _of_bodies(*rows: Sequence[str]) -> dict[str, Variable]:
 
 
 def axis(name: str) -> Variable:
-    """Return the coordinate of an axis whose entries are numbered from 0."""
-    return Variable(name, (name,), "1", f"number of the {name.replace('_', ' ')}", integer=True)
+    """Return the coordinate of an axis, whose entries are words or numbered from 0."""
+    meaning = name if name in WORDS else f"number of the {name.replace('_', ' ')}"
+    return Variable(name, (name,), "1", meaning, integer=name not in WORDS)
 
 
+#: components of vectors; of places the first two
+DIRECTIONS = ("r", "z", "theta")
+#: entries of axes that are words
+WORDS = {"component": COMPONENTS, "side": SIDES, "plane": DIRECTIONS[:2], "direction": DIRECTIONS}
 ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
 # fmt: off
 _AXES = _table(
@@ -111,11 +116,6 @@ _AXES = _table(
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
     ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
      "int"),
-    # words along axes
-    ("component", "component", "1", "component of stress"),
-    ("side", "side", "1", "side of an interface"),
-    *((f"boundary/{body}/{name}", name, "1", f"component of {what}")
-      for body in BODIES for name, what in (("plane", "a place"), ("direction", "a vector"))),
 )
 #: the contact line
 LINE = _table(
