@@ -77,7 +77,7 @@ def _variable(name: str, values: Any) -> Variable:
 
 
 def open_result(path: str | Path) -> Result:
-    """Read a result file. Not collective.
+    """Read a result file.
 
     Returns
     -------

@@ -233,8 +233,8 @@ class Result(Outcome):
     def save(self, path: str | Path) -> None:
         """Write its file, see ``Outcome.save``.
 
-        Not collective: the process that calls this writes. Where several have the same result and
-        write the same file, it is whole at any time, and in the end that of one of them.
+        Where several processes have the same result and write the same file, it is whole at any
+        time, and in the end that of one of them.
         """
         from ringwear_par.results.files import write_result
 
@@ -316,7 +316,7 @@ class HistoryColumns:
 
 
 def case_attributes(case: Case, time: float) -> dict[str, Any]:
-    """Return the attributes of a case whose history has come to a time (s). Not collective."""
+    """Return the attributes of a case whose history has come to a time (s)."""
     density: dict[str, Any] = {}
     for body, ring in zip(BODIES, case.rings, strict=True):  # g/mm3, or NaN
         if ring.density is not None:

@@ -314,7 +314,7 @@ def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
 def edge_elements(pressure: FloatArray) -> BoolArray:
     """Return where elements lie beside an edge of contact: the last closed and the first open one.
 
-    Contact that reaches an end of the contact line has no such element there. Not collective.
+    Contact that reaches an end of the contact line has no such element there.
 
     Parameters
     ----------
