@@ -18,7 +18,7 @@ from ringwear_par.results.files import result_of
 from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import VARIABLES, Variable
+from ringwear_par.results.variables import VARIABLES
 
 if TYPE_CHECKING:
     import xarray
@@ -112,16 +112,12 @@ def _table(data: "xarray.Dataset", name: str) -> Table:
     table = xarray.Dataset(columns)
     names = [*axes, *(str(c) for c in table.coords if c not in axes), *columns]
     frame = table.to_dataframe(dim_order=[*axes]).reset_index()[names]
-    header = [_titled(n, table[n].attrs.get("units", "1")) for n in names]
+    header = [titled(n, table[n].attrs.get("units", "1")) for n in names]
     return name, header, frame.itertuples(index=False, name=None)
 
 
-def titled(variable: Variable) -> str:
+def titled(name: str, unit: str) -> str:
     """Return the name of a variable with its unit, as headers have it."""
-    return _titled(variable.name, variable.unit)
-
-
-def _titled(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
 
 
