@@ -16,7 +16,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, stack
+from ringwear_par.schedules import Quantity, Table, in_time, integral, stack
 
 _HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
@@ -66,21 +66,16 @@ def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
     """Return the numbers of the stored states of a result (s,) by name; those that there are."""
     about = result.attributes
     densities = {body: densities_of(result, body) for body in BODIES if about[f"law_{body}"]}
-    area, radius = float(about["nominal_area"]), float(about["mean_radius"])
-    work, omega = _normal_work(result), schedule_of(about, "omega")
-    return _numbers(result.data, slice(None), work, omega, area, radius, densities)
+    area, radius, omega = about["nominal_area"], about["mean_radius"], schedule_of(about, "omega")
+    return _numbers(result.data, slice(None), omega, area, radius, densities)
 
 
-def end_numbers(
-    cases: Sequence[Case], columns: HistoryColumns, normal_work: FloatArray
-) -> dict[str, FloatArray]:
+def end_numbers(cases: Sequence[Case], columns: HistoryColumns) -> dict[str, FloatArray]:
     """Return the numbers at the last stored states of B histories on one contact pair, (B,).
 
     Parameters
     ----------
-    cases : theirs.
-    columns : theirs, as stored.
-    normal_work : (B,) N mm, see ``_numbers``.
+    cases, columns : of these histories.
     """
     stored, last = np.diff(columns.offsets) > 0, columns.offsets[1:] - 1
     if not stored.any():
@@ -91,8 +86,8 @@ def end_numbers(
         if any(case.laws[i] is not None for case in cases)
     }
     numbers = _numbers(
-        {**columns.histories, **columns.layers}, last, normal_work,
-        stack([case.load.omega for case in cases]), cases[0].area, cases[0].mean_radius, densities,
+        {**columns.histories, **columns.layers}, last, stack([case.load.omega for case in cases]),
+        cases[0].area, cases[0].mean_radius, densities,
     )  # fmt: skip
     return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
 
@@ -100,7 +95,6 @@ def end_numbers(
 def _numbers(
     data: Mapping[str, Any],
     rows: Any,
-    normal_work: FloatArray,
     omega: Quantity,
     area: float,
     radius: float,
@@ -111,7 +105,6 @@ def _numbers(
     Parameters
     ----------
     data, rows : stored variables by name, and which of their rows are of these states.
-    normal_work : (s,) N mm, pressure times sliding distance over all places; NaN where unknown.
     omega : rad/s.
     area, radius : of the nominal contact, mm2, and its mean, mm.
     densities : (layers + 1,) or (s, layers + 1) g/mm3 of each body that wears, NaN where unknown.
@@ -125,7 +118,7 @@ def _numbers(
             numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
         # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
         worn, hours = 1e3 * volume.sum(axis=1), time / _HOUR
-        for name, divisor in (("mean", area * hours), ("specific", normal_work)):
+        for name, divisor in (("mean", area * hours), ("specific", data["normal_work"][rows])):
             unknown = np.full(worn.shape, np.nan)
             rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
             numbers[f"{name}_wear_rate_{body}"] = rate
@@ -153,22 +146,6 @@ def schedule_of(about: Mapping[str, Any], name: str) -> Quantity:
         times, values = zip(*json.loads(about[f"{name}_table"]), strict=True)
         return Table(times, values)
     return float(about[name])
-
-
-def _normal_work(result: Result) -> FloatArray:
-    """Return the work of the pressures over the sliding distance (s,), N mm.
-
-    It is that of the friction energy; where friction is a table, with its mean between states, such
-    that the end is what the history knows.
-    """
-    energy, time = result.data["dissipated_energy"], result.data["time"]
-    means = mean(schedule_of(result.attributes, "friction"), time[:-1], time[1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
-        if (last := result.checkpoint) is not None and last.state.time == time[-1]:
-            work *= last.state.normal_work / work[-1]
-            work[-1] = last.state.normal_work  # without friction, too
-    return work
 
 
 # -- key numbers -----------------------------------------------------------------------------------

@@ -179,7 +179,7 @@ class Recorder:
             stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
             whole=whole,
         )
-        numbers = end_numbers(self._cases, columns, self._last.normal_work)
+        numbers = end_numbers(self._cases, columns)
         return replace(columns, whole={**columns.whole, **numbers}), warnings
 
     # -- results -----------------------------------------------------------------------------------

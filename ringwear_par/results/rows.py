@@ -38,6 +38,7 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
         "worn_volume_lower": volumes[0],
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,
+        "normal_work": state.normal_work,
         "pressure": contact.pressure,
         # in contact it is 0 all but round-off
         "gap": np.where(contact.pressure > 0.0, 0.0, contact.gap),
@@ -185,8 +186,6 @@ class LastStates:
         self.snapshot: Snapshot | None = None
         #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
         self.through = np.full((2, count), np.inf)
-        #: (B,) N mm, see ``State``, by the end of a history; NaN before
-        self.normal_work = np.full(count, np.nan)
         #: limits that ended histories before their times, in words by criterion, by number
         self.stops: dict[int, dict[str, str]] = {}
         #: starts of histories that ended together, the place of each, and its symmetry defect
@@ -202,7 +201,6 @@ class LastStates:
         if not len(places):
             return False
         numbers = snapshot.numbers[places]
-        self.normal_work[numbers] = snapshot.state.normal_work[places]
         self._note_stops(snapshot, places)
         if snapshot.state.through is not None:
             self.through[:, numbers] = snapshot.state.through[:, places]

@@ -132,6 +132,7 @@ HISTORIES = _table(
     ("twist", "step", "mm", "area mean of the circumferential displacement jump"),
     *((f"worn_volume_{body}", "step", "mm3", f"volume lost by the {body} ring") for body in BODIES),
     ("dissipated_energy", "step", "N mm", "energy dissipated by friction"),
+    ("normal_work", "step", "N mm", "contact pressure times sliding distance, over the contact"),
     ("contact_iterations", "step", "1",
      "iterations of the contact solver since the last stored step", "int"),
 )
