@@ -204,28 +204,24 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     state, about = result.checkpoint.state, result.attributes
     ends = {name: float(values[-1]) for name, values in result.histories.items()}
     ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
-    return [
-        *_group("penetration", _penetration(result, state)),
-        *(n for i, body in enumerate(BODIES) for n in _group(body, _worn(result, state, i, ends))),
-        *(
-            number
-            for i, body in enumerate(BODIES)
-            for number in _group(f"worn layers of {body}", _layers(result, state, i))
-        ),
-        *_group("pressure", _pressures(result, state.contact)),
-        *_group("load", (
-            ("force", "force", state.contact.force, "N"),
-            ("torque", "torque", 1e-3 * ends["torque"], "N m"),
-            ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
-            ("approach", "approach", state.contact.approach, "mm"),
-        )),
-        *_group("sliding at the mean radius", (
-            ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
-            ("p_v", "p V", ends["pressure_velocity"], "MPa m/s"),
-            ("distance", "distance", ends["sliding_distance"], "m"),
-        )),
-        *_stresses(result),
-    ]  # fmt: skip
+    numbers = _group("penetration", _penetration(result, state))
+    for i, body in enumerate(BODIES):
+        numbers += _group(body, _worn(result, state, i, ends))
+    for i, body in enumerate(BODIES):
+        numbers += _group(f"worn layers of {body}", _layers(result, state, i))
+    numbers += _group("pressure", _pressures(result, state.contact))
+    numbers += _group("load", (
+        ("force", "force", state.contact.force, "N"),
+        ("torque", "torque", 1e-3 * ends["torque"], "N m"),
+        ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
+        ("approach", "approach", state.contact.approach, "mm"),
+    ))  # fmt: skip
+    numbers += _group("sliding at the mean radius", (
+        ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
+        ("p_v", "p V", ends["pressure_velocity"], "MPa m/s"),
+        ("distance", "distance", ends["sliding_distance"], "m"),
+    ))  # fmt: skip
+    return numbers + _stresses(result)
 
 
 def _penetration(result: Result, state: State) -> Iterator[_Row]:
@@ -234,10 +230,11 @@ def _penetration(result: Result, state: State) -> Iterator[_Row]:
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
     """
-    load, least = state.contact.pressure * result.line.area, np.abs(result.data["approach"]).max()
+    load = state.contact.pressure * result.line.area
+    least = _ROUND_OFF * np.abs(result.data["approach"]).max()
 
     def shown(depth: float) -> float:
-        return 1e3 * depth if abs(depth) >= _ROUND_OFF * least else 0.0
+        return 1e3 * depth if abs(depth) >= least else 0.0
 
     total = float(result.data["penetration"][-1])
     yield "penetration", "total", shown(total), "um"
