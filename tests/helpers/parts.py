@@ -13,7 +13,7 @@ from wearing import ThresholdLaw as ThresholdLaw
 
 #: names by the module that they are in
 PLACES = {
-    "arrays": "derivative share",
+    "arrays": "derivative",
     "cases.case": "Load Output Ring RingLayer Stepping",
     "cases.files.law_trials": "refuse_bad_laws",
     "cases.files.reading": "make_case parse_case",
@@ -46,7 +46,6 @@ PLACES = {
     "pictures.run_panels": "HISTORY_PANELS",
     "prediction.predict": "draw_paces fit_draws",
     "prediction.prediction": "TimeTo times_at",
-    "reports.run_page": "profiles",
     "reports.spreadsheets": "export",
     "results.recorder": "Recorder",
     "results.run": "run_case",

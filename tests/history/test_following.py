@@ -8,13 +8,13 @@ import pytest
 from parts import Load, Mesh, Ring, Stepping, ThresholdLaw
 from paths import PAPER
 from reference_cases import paper_case, round_face
-
-import ringwear_par as rw
 from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.cases import check_mesh
 from ringwear_par.history.start import initial_state
+
+import ringwear_par as rw
 
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
