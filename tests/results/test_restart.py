@@ -64,4 +64,4 @@ def test_a_longer_run_has_all_numbers_and_counts(keys, tmp_path, comm):
     for path, steps in ((whole, 20), (parts, 9), (parts, 20)):
         run_case(PAPER, path, [*keys, f"time.steps={steps}"], comm=comm, restart=steps == 20)
     assert_same(whole, parts)
-    assert counts(whole) == counts(parts)
+    assert attributes(whole) == attributes(parts)
