@@ -17,6 +17,7 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
     DISPLAY_UNITS,
+    EDGE_ELEMENT,
     HISTORIES,
     LARGEST_STRESS,
     LAYER,
@@ -174,6 +175,13 @@ END_VALUES = {
         ),
     )
 }
+
+
+#: all variables of results by name, but varied keys
+VARIABLES = {
+    **STORED, EDGE_ELEMENT.name: EDGE_ELEMENT,
+    **{end_value.stored.name: end_value.stored for end_value in END_VALUES.values()}, **OF_CASES,
+}  # fmt: skip
 
 
 def end_value_of(name: str) -> tuple[EndValue, str]:

@@ -3,16 +3,13 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError, counted
-from ringwear_par.files.text import parse_toml
 from ringwear_par.results.hdf5 import reading
 from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
-from ringwear_par.studies.variations import read_variations
 
 if TYPE_CHECKING:
     import xarray
@@ -45,22 +42,10 @@ class Ensemble:
     final: dict[str, FloatArray]
     #: of the file: ``method`` of the design, ``study``, its base ``case``, ``status``, versions
     attributes: dict[str, Any]
+    #: keys that the design varies by ranges: whether by logarithms, and the ends
+    spacings: dict[str, tuple[bool, tuple[float, float]]]
     #: reasons to doubt the answer of a case, (cases,)
-    flags: tuple[tuple[str, ...], ...] = ()
-
-    @cached_property
-    def spacings(self) -> dict[str, tuple[bool, tuple[float, float]]]:
-        """Of the keys that the design varies by ranges: whether by logarithms, and the ends."""
-        try:
-            tables = parse_toml(self.attributes["study"], "study")
-        except (InputError, KeyError, ValueError):  # of tables in Python
-            return {}
-        vary, design = tables.get("vary", {}), tables.get("design", {})
-        return {
-            variation.name: (variation.spacing == "log", (variation.values[0], variation.values[1]))
-            for variation in read_variations("study", vary, design.get("method", "grid"), [])
-            if variation.spacing != "values"
-        }
+    flags: tuple[tuple[str, ...], ...]
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps, ...)."""
@@ -97,7 +82,12 @@ def read_ensemble(folder: Path) -> Ensemble:
             path, ids, status, error, file["seconds"][:], stored,
             {key.name[1:]: key[:] if key.dtype.kind == "f" else key.asstr()[:] for key in varied},
             {key.name[1:]: {"1": ""}.get(key.attrs["units"], key.attrs["units"]) for key in varied},
-            final, attributes, tuple(map(split_flags, flags)),
+            final, attributes,
+            {
+                key.name[1:]: (key.attrs["spacing"] == "log", (key.attrs["low"], key.attrs["high"]))
+                for key in varied if "spacing" in key.attrs
+            },
+            tuple(map(split_flags, flags)),
         )  # fmt: skip
 
 

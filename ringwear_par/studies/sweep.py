@@ -6,13 +6,11 @@ and ``cases.csv``. Killed, stopped or started several times at once, the same co
 """
 
 import fcntl
-import logging
 import shutil
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +22,9 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError, cou
 from ringwear_par.files.folders import refuse_others
 from ringwear_par.files.writing import check_writable, unwritable
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
-from ringwear_par.results.hdf5 import UnreadableError, reading
+from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
-from ringwear_par.studies.block_files import DamagedError, has_failed, write_block
-from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, compute, free_blocks, there
+from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
 from ringwear_par.studies.ensemble import (
     FILE_KIND,
     RESULTS,
@@ -36,11 +33,10 @@ from ringwear_par.studies.ensemble import (
     count_flags,
     split_flags,
 )
-from ringwear_par.studies.results_file import is_merged, merge
+from ringwear_par.studies.results_file import arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
+from ringwear_par.studies.together import computed_with_pairs
 from ringwear_par.version import __version__
-
-log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
 
@@ -160,27 +156,33 @@ def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; must be a folder, or a new name")
     refuse_others(folder, "sweep")
-    merged, paths = is_merged(folder, blocks), {block.path for block in blocks}
-    results = folder / RESULTS
+    results, merged = folder / RESULTS, is_merged(folder, blocks)
     stored = [results] if results.exists() else [*(folder / FOLDER).glob("*.h5")]
-    if stored and not merged and not paths & set(stored):
+    if stored and not merged and not {block.path for block in blocks} & {*stored}:
         must = "; must be removed, or a new folder"
         with reading(stored[0], SOFTWARE, FILE_KIND, must) as file:
             version = str(file.attrs["version"])
         same = version == __version__
         whose = "another study" if same else f"version {version} of ringwear-par"
         raise InputError(f"{folder}: holds cases of {whose}; must be a new folder")
-    if retry:
-        for path in filter(has_failed, paths):
-            path.unlink()
-            results.unlink(missing_ok=True)
-    if is_merged(folder, blocks):
+    for path in (block.path for block in blocks if retry and _has_failed(block)):
+        path.unlink()
+        results.unlink(missing_ok=True)
+        merged = False
+    if merged:
         return
     try:
         (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(folder, error) from error
     check_writable(results)
+
+
+def _has_failed(block: Block) -> bool:
+    """Tell whether a block is there, and some of its cases have failed. On one rank."""
+    with suppress(InputError), reading(block.path, SOFTWARE, FILE_KIND) as file:
+        return bool(file.attrs["failed"])
+    return False
 
 
 # -- work ------------------------------------------------------------------------------------------
@@ -197,11 +199,9 @@ def _complete(work: _Work, say: Callable[[Summary], None] = lambda _: None) -> S
     """
     comm, started, computed = work.comm, time.perf_counter(), 0
     try:
-        while True:
-            if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
-                computed += comm.allreduce(_compute(work))
-            if on_first_rank(comm, lambda: _merge(work)):
-                break
+        if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
+            computed = comm.allreduce(_compute(work))
+            on_first_rank(comm, lambda: _merge(work))
     except KeyboardInterrupt as signal:
         raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {_goes_on(work)}") from None
     seconds = time.perf_counter() - started
@@ -229,9 +229,8 @@ def _compute(work: _Work, most: float = np.inf) -> int:
     try:
         with closing(free_blocks(work.blocks, share, shares)) as free:
             while most > 0 and (block := on_first_rank(team, lambda: next(free, None))) is not None:
-                arrays = compute(work.study, block, pairs, team)
-                on_first_rank(team, partial(write_block, block.path, arrays))
-                computed, most = computed + len(block.numbers), most - 1
+                _compute_block(work.study, block, pairs, team)
+                computed, most = computed + len(block.numbers) * (team.rank == 0), most - 1
                 if progress is not None and progress.is_due():
                     done, count = there(work.blocks), len(work.blocks)
                     pace = (time.perf_counter() - started) / max(done - work.before, 1)
@@ -240,14 +239,33 @@ def _compute(work: _Work, most: float = np.inf) -> int:
     except RingwearError as failure:  # of the disk: others go on as long as they can
         error = failure
     finally:
-        first = team.rank == 0
         team.Free()
         if progress is not None:
             progress.close()
     errors = [failure for failure in comm.allgather(error) if failure is not None]
     if errors:
         raise _incomplete(work, errors[0])
-    return computed if first else 0
+    return computed
+
+
+def _compute_block(
+    study: Study, block: Block, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
+) -> None:
+    """Compute a block's cases and store them, failed ones with their reasons. Collective on comm.
+
+    Parameters
+    ----------
+    pairs : contact pairs of earlier blocks; those of this one are added.
+    """
+    cases = study.cases_of(block.numbers)
+    parts, errors = computed_with_pairs(cases, pairs, comm)
+    histories = [(np.array(part.numbers), part.columns) for part in parts]
+
+    def store() -> None:
+        about = {"case": study.ids(block.numbers), "number": block.numbers}
+        write_block(block, about | arrays_of(cases, histories, errors))
+
+    on_first_rank(comm, store)
 
 
 def _goes_on(work: _Work) -> str:
@@ -264,31 +282,29 @@ def _incomplete(work: _Work, error: RingwearError) -> RingwearError:
     return error
 
 
-def _merge(work: _Work) -> bool:
-    """Merge all blocks; False where one was damaged and is to be computed anew. On rank 0."""
+def _merge(work: _Work) -> None:
+    """Merge all blocks, unless another process has. On rank 0."""
     blocks, folder = work.blocks, work.folder / FOLDER
-    with ExitStack() as locks:
-        with suppress(OSError):  # another process has merged them, or there are no locks
-            lock = locks.enter_context((folder / "merge.lock").open("w"))
+    try:
+        lock = (folder / "merge.lock").open("w")
+    except FileNotFoundError:  # another process has merged them
+        return
+    with lock:
+        with suppress(OSError):  # there are no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         if is_merged(work.folder, blocks):
-            return True
+            return
         if there(blocks) < len(blocks):
             raise ComputationError(f"others may be at work on the rest; {_goes_on(work)}")
         try:
             merge(work.study, blocks, work.folder, work.comm.size)
-        except DamagedError as error:
-            log.warning("%s: it is computed anew", error)
-            error.path.unlink(missing_ok=True)
-            return False
-        except (OSError, ComputationError, UnreadableError) as error:
+        except (OSError, ComputationError) as error:
             raise _incomplete(work, as_ours(error)) from error
-        if not any(has_failed(block.path) for block in blocks):  # --retry-failed needs these
+        if not any(map(_has_failed, blocks)):  # --retry-failed needs these
             done = folder.with_name(f".{FOLDER}")
             shutil.rmtree(done, ignore_errors=True)
             folder.rename(done)  # in one step, for processes that still look
             shutil.rmtree(done, ignore_errors=True)
-    return True
 
 
 # -- what is said ----------------------------------------------------------------------------------

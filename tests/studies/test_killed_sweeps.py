@@ -7,7 +7,6 @@ import sys
 import time
 from types import SimpleNamespace
 
-import h5py
 import pytest
 from commands import NEEDS_MPIRUN, RINGWEAR, SHELL_ENVIRONMENT
 from killed_sweeps import children, kill, wait_for_end
@@ -77,7 +76,7 @@ def swept(tmp_path_factory, comm):
 
 @pytest.mark.parametrize(
     ("function", "call", "computed"),
-    [("write_block", 2, 4), ("compute", 1, 6), ("_values", 2, 0), ("merge", 1, 0)],
+    [("write_block", 2, 4), ("_compute_block", 1, 6), ("_append", 2, 0), ("merge", 1, 0)],
 )
 @pytest.mark.usefixtures("small_blocks")
 def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed):
@@ -89,19 +88,19 @@ def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed)
     assert_same_sweeps(tmp_path / "out", reference)
 
 
-@pytest.mark.parametrize("how", ["cut", "flipped", "emptied"])
+@pytest.mark.parametrize("share", [0.0, 0.5])
 @pytest.mark.usefixtures("small_blocks")
-def test_a_damaged_block_is_computed_anew(tmp_path, swept, comm, caplog, how):
+def test_a_damaged_block_is_refused(tmp_path, swept, comm, share):
+    """Once it is removed, the same command computes it anew."""
     study, reference, unmerged = swept
     output = shutil.copytree(unmerged, tmp_path / "out")
     path = sorted((output / "blocks").glob("*.h5"))[1]
-    with h5py.File(path) as file:
-        at = file["penetration"].id.get_chunk_info(0).byte_offset
-    content = bytearray(path.read_bytes())
-    content[at] ^= 1
-    path.write_bytes({"flipped": content, "cut": content[: len(content) // 2], "emptied": b""}[how])
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(rw.InputError, match=f"{path.name}.*damaged; must be removed"):
+        rw.sweep(study, output, comm)
+    path.unlink()
     assert rw.sweep(study, output, comm).computed == 2
-    assert "is computed anew" in caplog.text
     assert_same_sweeps(output, reference)
 
 

@@ -11,7 +11,7 @@ from swept import write_study
 
 import ringwear_par as rw
 from ringwear_par.studies.study import Study, read_study
-from ringwear_par.studies.variations import Column
+from ringwear_par.studies.variations import column_of
 
 CASE = PAPER.read_text()
 GRID = """
@@ -40,7 +40,7 @@ def write(tmp_path, comm):
 
 def rows(study):
     """Return the raw values of each case."""
-    return list(zip(*(column.by_case() for column in study.columns), strict=True))
+    return list(zip(*(column.tolist() for column in study.columns.values()), strict=True))
 
 
 def ids(study):
@@ -59,9 +59,10 @@ def sampled(write, method, count, seed=1):
      (["archard", "threshold"], "1/MPa")],
 )  # fmt: skip
 def test_the_unit_of_a_wear_coefficient_is_that_of_the_laws_of_the_cases(laws, unit):
-    columns = [Column.of([1e-9] * len(laws)), Column.of([10.0] * len(laws)), Column.of(laws)]
     names = ("wear.lower.k", "load.pressure", "wear.lower.law")
-    study = Study("", "", "grid", {"wear.lower.law": "table"}, names, tuple(columns))
+    columns = map(column_of, ([1e-9] * len(laws), [10.0] * len(laws), laws))
+    columns = dict(zip(names, columns, strict=True))
+    study = Study("", "", "grid", {"wear.lower.law": "table"}, columns)
     assert study.units() == dict(zip(names, (unit, "MPa", ""), strict=True))
 
 

@@ -36,8 +36,8 @@ def known(tmp_path_factory, comm):
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    """Have no more than five cases in a block."""
-    monkeypatch.setattr(together, "MOST", 5)
+    """Have four cases in a block."""
+    monkeypatch.setattr(together, "MOST", 4)
 
 
 def test_equals_single_runs(known, comm):
@@ -137,17 +137,6 @@ def test_different_sizes_are_padded(write, tmp_path, comm):
         assert found["final_penetration"][i] == found["penetration"][i, rows - 1]
 
 
-def test_profiles_of_all_steps_beside_those_of_the_last(write, tmp_path, comm):
-    path = write(
-        '[vary]\n"output.profiles" = { values = ["last", "all"] }\n"time.steps" = { values = [3] }'
-    )
-    rw.sweep(path, tmp_path / "out", comm)
-    wear = variables(tmp_path / "out")["wear_lower"]
-    assert wear.shape == (2, 4, 16)
-    assert np.isnan(wear[0, :-1]).all()
-    assert np.array_equal(wear[0, -1], wear[1, -1])
-
-
 def test_again_recomputes_nothing_and_changes_nothing(known, tmp_path, comm):
     """Of the file, or of its tables."""
     copied = shutil.copytree(known, tmp_path / "out")
@@ -213,7 +202,7 @@ def test_a_retry_computes_the_blocks_of_failed_cases_only(write, tmp_path, comm,
     with pytest.raises(rw.ComputationError, match="4 of 12"):
         rw.sweep(path, tmp_path / "out", comm)
     mend()
-    assert rw.sweep(path, tmp_path / "out", comm, retry_failed=True).computed == 10
+    assert rw.sweep(path, tmp_path / "out", comm, retry_failed=True).computed == 4
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, tmp_path, comm, monkeypatch):
