@@ -20,14 +20,14 @@ from ringwear_par.studies.end_values import (
     meaning_of,
 )
 from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
-from ringwear_par.studies.factors import done_cases, raw_words
-from ringwear_par.studies.pictures.effects import (
+from ringwear_par.studies.pictures import (
     Choice,
     choose,
     effects,
+    histories,
     index_panels,
+    raw_words,
 )
-from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
@@ -47,7 +47,7 @@ def sweep_page(folder: Path) -> page.Page:
     """
     ensemble = read_ensemble(folder)
     sections = [page.Section("Summary", _summary(ensemble))]
-    if done_cases(ensemble).any():
+    if ensemble.done.any():
         choice = choose(ensemble)
         sections.append(page.Section("Histories", [_histories(ensemble, choice)]))
         sections.append(page.Section("Final values", _effects(ensemble, choice)))
@@ -74,7 +74,7 @@ def _summary(ensemble: Ensemble) -> list[page.Block]:
     method = ensemble.attributes["method"]
     lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
-    done = done_cases(ensemble)
+    done = ensemble.done
     blocks: list[page.Block] = [_tiles(ensemble, done, len(cases), len(doubts))]
     if doubts:
         blocks.append(page.Lines(doubts, warning=True))

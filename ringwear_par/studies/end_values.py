@@ -122,22 +122,17 @@ class EndValue:
         Of their variables, (cases, ...) by name: the last stored row, of stress the last that has
         some; of fields the least along the contact line.
         """
-        table, last = tables[self.source], tables["steps_stored"] - 1
-        if self.source in STRESS:
-            with_stress = np.isfinite(tables[STRESS_STATES])
-            last = table.shape[1] - 1 - with_stress[:, ::-1].argmax(axis=1)
-            last = np.where(with_stress.any(axis=1), last, -1)
-        some = np.flatnonzero(last >= 0)
-        if self.source in OF_A_CASE or (self.source in FIELDS and table.ndim == 2):
-            rows = table[some]
-        else:
-            rows = table[some, last[some]]
+        there = np.isfinite(tables[STRESS_STATES if self.source in STRESS else "time"])
+        rows = tables[self.source]
+        axes = STORED[self.source].dimensions
+        if "step" in axes and rows.ndim == len({"case", *axes}):
+            last = there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
+            rows = rows[np.arange(len(rows)), last]
         if self.source in FIELDS:
-            least = np.min(rows, axis=-1, where=np.isfinite(rows), initial=np.inf)
-            rows = np.where(np.isfinite(least), least, np.nan)
-        values = np.full((len(table), *rows.shape[1:]), np.nan)
-        values[some] = rows
-        return values
+            rows = np.fmin.reduce(rows, axis=-1)
+        rows = rows.copy()
+        rows[~there.any(axis=1)] = np.nan
+        return rows
 
 
 def _end_value(source: Variable) -> EndValue:

@@ -1,13 +1,19 @@
-"""The results of a sweep, to be looked at: with xarray, or variable by variable."""
+"""The results of a sweep, to be looked at: with xarray, or variable by variable; its varied keys."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ringwear_par.arrays import FloatArray, IntArray
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.schema import quantity_label
 from ringwear_par.errors import InputError, counted
+from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results.hdf5 import reading
 from ringwear_par.studies.end_values import END_VALUES, MAIN_END_VALUES, entries
 
@@ -18,6 +24,8 @@ if TYPE_CHECKING:
 RESULTS, TABLE = "results.h5", "cases.csv"
 SOFTWARE, FILE_KIND = "ringwear-par sweep", "a results file of ringwear sweep"
 _SEPARATOR = ", "
+#: a key without a range in the study goes by its logarithm if uneven values span so large a ratio
+_LOG_KEY = 20.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,11 @@ class Ensemble:
     #: reasons to doubt the answer of a case, (cases,)
     flags: tuple[tuple[str, ...], ...]
 
+    @cached_property
+    def done(self) -> BoolArray:
+        """(cases,) which cases are done."""
+        return np.array(self.status) == "done"
+
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps, ...)."""
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
@@ -69,25 +82,20 @@ def read_ensemble(folder: Path) -> Ensemble:
         ids, status, error, flags = (
             tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")
         )
-        varied = [file[name] for name in attributes["coordinates"].split()]
-        final: dict[str, FloatArray] = {}
+        varied, units, spacings = {}, {}, {}
+        for name in attributes["coordinates"].split():
+            key, about = file[name], file[name].attrs
+            varied[name] = key[:] if key.dtype.kind == "f" else key.asstr()[:]
+            units[name] = "" if about["units"] == "1" else about["units"]
+            if "spacing" in about:
+                spacings[name] = about["spacing"] == "log", (about["low"], about["high"])
+        final: dict[str, FloatArray] = dict.fromkeys(MAIN_END_VALUES, np.full(len(ids), np.nan))
         for end_value in END_VALUES.values():
-            name = end_value.stored.name
-            if end_value.name in MAIN_END_VALUES or name in file:
-                final |= entries(end_value, file[name][:])
-        stored = file["steps_stored"][:]
-        if not ((stored >= 0) & (stored <= file["time"].shape[1])).all():
-            raise ValueError("steps_stored")
+            if end_value.stored.name in file:
+                final |= entries(end_value, file[end_value.stored.name][:])
         return Ensemble(
-            path, ids, status, error, file["seconds"][:], stored,
-            {key.name[1:]: key[:] if key.dtype.kind == "f" else key.asstr()[:] for key in varied},
-            {key.name[1:]: {"1": ""}.get(key.attrs["units"], key.attrs["units"]) for key in varied},
-            final, attributes,
-            {
-                key.name[1:]: (key.attrs["spacing"] == "log", (key.attrs["low"], key.attrs["high"]))
-                for key in varied if "spacing" in key.attrs
-            },
-            tuple(map(split_flags, flags)),
+            path, ids, status, error, file["seconds"][:], file["steps_stored"][:], varied, units,
+            final, attributes, spacings, tuple(map(split_flags, flags)),
         )  # fmt: skip
 
 
@@ -132,3 +140,83 @@ def count_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
     words = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
     total = sum(flagged.values())
     return f"{counted(total, 'case')} flagged: {words}; see flags in {TABLE}"
+
+
+# -- factors: the varied keys ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A varied key: one coordinate from 0 to 1, or one that is 0 or 1 for each of its texts."""
+
+    #: of the key
+    name: str
+    unit: str
+    #: (cases,) numbers in the case's unit, or numbers of texts
+    values: FloatArray
+    #: the texts of a key that is no number
+    texts: tuple[str, ...] = ()
+    #: the range of a number, and whether it goes by its logarithm
+    low: float = math.nan
+    high: float = math.nan
+    logarithmic: bool = False
+
+    @property
+    def label(self) -> str:
+        """What it is called, with its unit."""
+        return quantity_label(self.name, self.unit)
+
+    @property
+    def differs(self) -> bool:
+        """Whether cases differ in it."""
+        return len(np.unique(self.values)) > 1
+
+    def coordinates(self, values: FloatArray) -> FloatArray:
+        """Return coordinates (values, 1 or texts) of values (values,)."""
+        if self.texts:
+            return np.eye(len(self.texts))[values.astype(int)]
+        if self.logarithmic:
+            return np.log(values[:, None] / self.low) / math.log(self.high / self.low)
+        return (values[:, None] - self.low) / (self.high - self.low)
+
+    def at(self, shares: FloatArray) -> FloatArray:
+        """Return values at shares from 0 to 1 of the range, or of the list of texts."""
+        if self.texts:
+            return np.floor(shares * len(self.texts))
+        if self.logarithmic:
+            return self.low * (self.high / self.low) ** shares
+        return self.low + (self.high - self.low) * shares
+
+    def read(self, value: Any) -> FloatArray:
+        """Return a value as ``values`` has it, or an array; InputError for what no case has."""
+        if self.texts:
+            text = value if isinstance(value, str) else toml_value(value)
+            if text in self.texts:
+                return np.array(float(self.texts.index(text)))
+            rule = f"one of {', '.join(map(shortened, self.texts))}"
+        else:
+            numbers = np.asarray(value, dtype=float)
+            slack = 1e-9 * max(abs(self.low), abs(self.high))
+            if ((numbers >= self.low - slack) & (numbers <= self.high + slack)).all():
+                return np.clip(numbers, self.low, self.high)
+            rule = f"from {self.low:.9g} to {self.high:.9g}, as in the study's cases"
+        raise InputError(f"surrogate: {self.name} = {shortened(value)}: must be {rule}")
+
+
+def factors_of(ensemble: Ensemble, cases: IntArray) -> list[Factor]:
+    """Return the varied keys of some cases that are done, with the study's ranges if all are."""
+    factors = []
+    for name, column in ensemble.varied.items():
+        values, unit = column[cases], ensemble.units[name]
+        if column.dtype.kind != "f":
+            texts = tuple(dict.fromkeys(map(str, column[ensemble.done])))
+            numbers = np.array([float(texts.index(str(text))) for text in values])
+            factors.append(Factor(name, unit, numbers, texts))
+            continue
+        low, high = float(values.min()), float(values.max())
+        uneven = bool(np.median(values) < 0.3 * (low + high) and high >= _LOG_KEY * low)
+        by_log, ends = ensemble.spacings.get(name, (uneven, (low, high)))
+        if low < high and ensemble.done.all():
+            low, high = ends
+        factors.append(Factor(name, unit, values, (), low, high, by_log and low > 0.0))
+    return factors

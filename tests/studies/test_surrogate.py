@@ -10,8 +10,7 @@ from known_sweeps import sample, write
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures.figures import draw_sweep
-from ringwear_par.studies.surrogate import sobol_indices
+from ringwear_par.studies.pictures import draw_sweep
 
 KEYS = ("wear.lower.k", "load.pressure", "wear.lower.p0")
 
@@ -138,11 +137,8 @@ def test_scales_and_ends_are_those_of_the_design(tmp_path):
     u = sample(KEYS[:2], 32)
     x = np.column_stack([1e-7 * 10.0 ** u[:, 0], 50.0 + 50.0 * u[:, 1]])
     ensemble = write(tmp_path, KEYS[:2], x, x[:, 0] ** 3, "sobol")
-    study = (
-        '[vary]\n"wear.lower.k" = { log = [1e-7, 1e-6] }\n"load.pressure" = { linear = [50, 110] }'
-        '\n[design]\nmethod = "sobol"\ncount = 32\n'
-    )
-    made = rw.surrogate(replace(ensemble, attributes={"method": "sobol", "study": study}))
+    spacings = {KEYS[0]: (True, (1e-7, 1e-6)), KEYS[1]: (False, (50.0, 110.0))}
+    made = rw.surrogate(replace(ensemble, spacings=spacings))
     assert [factor.logarithmic for factor in made.factors] == [True, False]
     assert made.ranges == {"wear.lower.k": (1e-7, 1e-6), "load.pressure": (50.0, 110.0)}
     assert not any(factor.logarithmic for factor in rw.surrogate(tmp_path).factors)
@@ -162,7 +158,7 @@ def test_texts_are_answered_for(tmp_path):
     for texts in ({"wear.lower.law": "table"}, {}):
         with pytest.raises(rw.InputError, match=r"wear\.lower\.law"):
             made.predict({**at, **texts})
-    law = dict(zip(made.ranges, sobol_indices(made, "penetration")[1], strict=True))
+    law = dict(zip(made.ranges, made.sobol_indices("penetration")[1], strict=True))
     assert law["wear.lower.law"] > 0.1
 
 
@@ -192,7 +188,7 @@ def test_sobol_indices_of_the_function_of_ishigami(tmp_path):
     x = np.pi * (2.0 * u - 1.0)
     depth = np.sin(x[:, 0]) * (1.0 + 0.1 * x[:, 2] ** 4) + 7.0 * np.sin(x[:, 1]) ** 2 + 11.0
     write(tmp_path, KEYS, 1.0 + u, depth, "sobol")
-    first, total = sobol_indices(rw.surrogate(tmp_path), "penetration")
+    first, total = rw.surrogate(tmp_path).sobol_indices("penetration")
     assert first == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
     assert total == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.02)
 
@@ -204,7 +200,7 @@ def test_it_is_drawn(tmp_path):
     assert len(figure.axes) == 1 + 1 + 2 * 2
     bars, along_k, _ = figure.axes[1:4]
     made = rw.surrogate(tmp_path)
-    first, total = sobol_indices(made, "penetration")
+    first, total = made.sobol_indices("penetration")
     assert [bar.get_width() for bar in bars.containers[0]] == pytest.approx(first)
     assert [bar.get_width() for bar in bars.containers[1]] == pytest.approx(total)
     mean, points = along_k.lines

@@ -9,8 +9,7 @@ from known_sweeps import sample, write
 from parts import plot_stored
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures.effects import choose
-from ringwear_par.studies.pictures.figures import draw_sweep
+from ringwear_par.studies.pictures import choose, draw_sweep
 
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 
