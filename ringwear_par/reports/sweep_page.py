@@ -13,17 +13,14 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
-from ringwear_par.studies.end_values import (
-    display_of,
-    figure_columns,
-    final_name,
-    meaning_of,
-)
-from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
+from ringwear_par.studies.ensemble import Ensemble, count_flags, meaning_of, read_ensemble
 from ringwear_par.studies.pictures import (
     Choice,
     choose,
+    display_of,
     effects,
+    figure_columns,
+    final_name,
     histories,
     index_panels,
     raw_words,
@@ -64,8 +61,7 @@ def sweep_page(folder: Path) -> page.Page:
 def _summary(ensemble: Ensemble) -> list[page.Block]:
     cases = np.arange(len(ensemble.ids))
     status = Counter(ensemble.status[i] for i in cases)
-    flags = Counter(ensemble.flags[i] for i in cases if ensemble.flags[i])
-    doubts = [count_flags(flags)] if flags else []
+    doubts = [count_flags(ensemble.flags)] if any(ensemble.flags) else []
     if status["failed"]:
         doubts.append(
             f"{status['failed']} of {len(cases)} cases failed; the table of cases has why"
@@ -207,7 +203,11 @@ def _cases(ensemble: Ensemble) -> list[page.Block]:
 def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
     """Return cases, (n,) numbers, the worst first: see the caption of their table."""
     order = [
-        (ensemble.status[i] == "done", -len(ensemble.flags[i]), -penetration)
+        (
+            ensemble.status[i] == "done",
+            -len(ensemble.flags[i].split(", ")) if ensemble.flags[i] else 0,
+            -penetration,
+        )
         for i, penetration in zip(
             cases.tolist(),
             np.nan_to_num(ensemble.final["penetration"][cases]).tolist(),
@@ -223,7 +223,7 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
     header = ["case", "status", *(quantity_label(*entry) for entry in ensemble.units.items())]
     header += [display.label for display in displays.values()]
     remarks = {
-        "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
+        "flags": [flags.replace("_", " ") for flags in ensemble.flags],
         "error": ensemble.error,
     }
     remarks = {name: texts for name, texts in remarks.items() if any(texts[i] for i in tabulated)}

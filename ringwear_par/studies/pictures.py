@@ -1,53 +1,34 @@
-"""``rw.plot``: the figure of a sweep, from its stored results, or of other results.
+"""What figures and pages show of a sweep, from its stored results.
 
 Histories; final values against each key; how much each key matters. Two rules choose what is drawn
 of final values: in a grid, a curve for each combination of the other keys, where these are few; in
 any other case a point for each case, and the surrogate's mean over the other keys where it is good.
 """
 
-import logging
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.schema import quantity_name
+from ringwear_par.cases.units import in_signs
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, counted
-from ringwear_par.files.folders import refuse_drawn
 from ringwear_par.files.text import parse_value
-from ringwear_par.pictures import figures
-from ringwear_par.pictures.matplotlib import (
-    add_letters,
-    add_shared_legend,
-    draw,
-    legend_entries,
-    legend_shape,
-)
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
-from ringwear_par.pictures.rig import draw_rig
-from ringwear_par.pictures.style import (
-    COLOURS,
-    STYLE,
-    NotebookFigure,
-    check_format,
-    in_words,
-    number_text,
-    of_width,
-    plain,
-    save_figure,
-)
+from ringwear_par.pictures.style import COLOURS, in_words, number_text
 from ringwear_par.results.key_numbers import time_unit
-from ringwear_par.results.result import Result
-from ringwear_par.studies.end_values import display_of, figure_columns, final_name
-from ringwear_par.studies.ensemble import Ensemble, Factor, factors_of, read_ensemble
+from ringwear_par.results.variables import DISPLAY_UNITS, LAYER_HISTORIES
+from ringwear_par.studies.ensemble import (
+    STRESS_STATES,
+    Ensemble,
+    Factor,
+    end_value_of,
+    entry_words,
+    factors_of,
+)
 from ringwear_par.studies.surrogate import (
     GOOD,
     SEED,
@@ -56,8 +37,6 @@ from ringwear_par.studies.surrogate import (
     share_words,
     surrogate,
 )
-
-log = logging.getLogger(__name__)
 
 #: most keys, curves of a panel and cases with a point that are drawn
 _MOST_KEYS, _MOST_CURVES, _MOST_POINTS = 8, 8, 1000
@@ -77,85 +56,9 @@ _MOST_HISTORIES, _LINES = 1000, 40
 #: common times of a fan
 _TIMES = 201
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-#: most panels in a row, and inches of a panel and of a line of a legend
-_COLUMNS, _PANEL, _LINE = 4, (2.3, 2.1), 0.18
-#: letters of a line in a title, of a legend for each inch, and of a label along a panel's height
-_TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 14, 26
 
 
-def plot(
-    results: Case | figures.Source | Sequence[figures.Source],
-    panels: str | Sequence[str] | None = None,
-    steps: str = "",
-    profiles_of: Sequence[figures.Source] = (),
-    times: str = "",
-    width: float | None = None,
-) -> Figure:
-    """Return the panels of results side by side, the figure of a sweep, or the rig of a case.
-
-    Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
-    one stored) are drawn of every result, one panel each; the histories of all of them share a
-    panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
-    ``pv``).
-
-    Parameters
-    ----------
-    results : a result or a result file, or several; the folder of a sweep; or a case or its file,
-        whose rig is drawn as a section through the axis.
-    panels : names, in a list or separated by commas; None for wear and penetration.
-    steps : comma-separated step numbers of the profiles.
-    profiles_of : those of the results whose profiles and sections are drawn; () for all.
-    times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
-        stored states nearest to them are drawn. Without either: the first step and four quarters.
-
-    width : mm, of the figure; None: what suits it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure : it belongs to no window; ``.savefig`` writes it.
-
-    Raises
-    ------
-    InputError : something that is not a result, an unknown panel, a step not stored; more than its
-        folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
-
-    Examples
-    --------
-    >>> import ringwear_par as rw
-    >>> result = rw.simulate(rw.read_case("scripts/cases/paper.toml"))
-    >>> rw.plot(result, "wear,pressure", times="1 s, 200 s").savefig("run.png")
-    """
-    if isinstance(results, Case):
-        return of_width(draw_rig(results), width)
-    several = [results] if isinstance(results, Result | str | Path) else results
-    sources = several if isinstance(several, Sequence) else ()
-    for path in (Path(source) for source in sources if isinstance(source, str | Path)):
-        if not path.is_dir() and path.suffix != ".toml":
-            continue
-        refuse_drawn(path)
-        if len(sources) > 1 or panels is not None or steps or times or profiles_of:
-            raise InputError(
-                f"{path}: a folder or a case must be drawn alone, without other options"
-            )
-        if path.is_dir():
-            return of_width(draw_sweep(read_ensemble(path)), width)
-        return of_width(draw_rig(read_case(path)), width)
-    return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)
-
-
-def plot_stored(
-    results: Sequence[Path], output: Path, dpi: float | None = None, **choices: Any
-) -> None:
-    """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
-
-    The ending of the output chooses the format; dpi are the points of an inch, where it has such.
-    """
-    check_format(output)
-    figure = plot(results, **{name: choice for name, choice in choices.items() if choice})
-    save_figure(figure, output, dpi)
-
-
-# -- what is drawn of a sweep -----------------------------------------------------------------------
+# -- what is drawn of a sweep ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -378,6 +281,69 @@ def _fan(lines: list[tuple[FloatArray, FloatArray]], x: Axis, label: str, count:
 # -- words -----------------------------------------------------------------------------------------
 
 
+class Display(NamedTuple):
+    """How a number is drawn: times a factor, and under which name, with its unit."""
+
+    factor: float
+    name: str
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        return f"{self.name} ({self.unit})"
+
+
+#: words for names that do not speak for themselves, without their bodies
+_WORDS = {
+    "mean_wear_rate": "mean rate",
+    "sliding_distance": "distance",
+    "pressure_velocity": "p V",
+    "share_through": "share worn through",
+    "time_through": "worn through from",
+    "least_layer_left": "least left of layers",
+    "max_mises": "largest von Mises stress",
+    "max_mises_r": "its radius",
+    "max_mises_z": "its height",
+    "max_mises_layer": "its layer",
+    "mises": "von Mises stress",
+    "max_shear": "largest shear stress",
+}
+_UNITS = DISPLAY_UNITS | {"share_through": ("%", 100.0), "least_layer_left": ("um", 1e3)}
+
+
+def display_of(name: str) -> Display:
+    """Return how a number is drawn: its name, then its body, then its entry."""
+    end_value, entry = end_value_of(name)
+    words = end_value.name.removesuffix("_layers")
+    body = words.rpartition("_")[2]
+    body = body if body in BODIES else ""
+    words = words.removesuffix(f"_{body}")
+    unit, factor = _UNITS.get(words, (end_value.stored.unit, 1.0))
+    parts = [_WORDS.get(words, words.replace("_", " ")), body]
+    parts.append(entry_words(end_value, entry) if entry else "")
+    return Display(factor, ", ".join(filter(None, parts)), in_signs(unit))
+
+
+def final_name(name: str) -> str:
+    """Return the name of a number in sentences."""
+    return f"final {display_of(name).name}"
+
+
+def figure_columns(final: Mapping[str, Any], cases: IntArray) -> list[str]:
+    """Return the numbers of some cases that figures draw.
+
+    Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where
+    there are some; the largest stress. Numbers of each layer and point would make figures too
+    long to read.
+    """
+    volumes = ("worn_volume_lower", "worn_volume_upper")
+    worn = [name for name in volumes if np.nan_to_num(final[name][cases]).any()]
+    through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
+    stress = [STRESS_STATES] if STRESS_STATES in final else []
+    return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]
+
+
 def raw_words(text: str) -> str:
     """Return a raw value of a key, as studies store it, in few words."""
     return in_words(parse_value(text)) if text else "none"
@@ -405,63 +371,3 @@ def _words(key: Factor) -> list[str]:
 def _names(keys: Sequence[Factor]) -> list[str]:
     """Return the values of some keys in each case."""
     return [", ".join(row) for row in zip(*map(_words, keys), strict=True)]
-
-
-# -- the figure -------------------------------------------------------------------------------------
-
-
-def draw_sweep(ensemble: Ensemble) -> Figure:
-    """Return the figure of a sweep's results. Not collective."""
-    choice = choose(ensemble)
-    if choice.absence:
-        log.info("no surrogate: %s", choice.absence)
-    panels, bars = effects(ensemble, choice), [*index_panels(choice).values()]
-    keys = [key.name for key in choice.keys]
-    grids = [[[histories(ensemble, choice)]]]
-    grids += [[bars[i : i + 3]] for i in range(0, len(bars), 3)]
-    grids += [
-        [[panels[output, key] for key in keys[i : i + _COLUMNS]] for output in choice.outputs]
-        for i in range(0, len(keys), _COLUMNS)
-    ]
-    width = _PANEL[0] * max(3, *(len(row) for grid in grids for row in grid))
-    letters = [int(_LEGEND_LETTERS * width / len(grid[0])) for grid in grids]
-    heights = [
-        _PANEL[1] * len(grid) + 0.4 + _LINE * max(legend_shape(panel, n)[1] for panel in grid[0])
-        for grid, n in zip(grids, letters, strict=True)
-    ]
-    with matplotlib.rc_context(STYLE):
-        figure = NotebookFigure(figsize=(width, sum(heights) + 0.5), layout="constrained")
-        title = [choice.counts, *textwrap.wrap(choice.remark, _TITLE_LETTERS)]
-        figure.suptitle("\n".join(map(plain, title)), fontsize=9.0)
-        parts: Any = figure.subfigures(len(grids), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for part, grid, n in zip(parts, grids, letters, strict=True):
-            _draw_grid(part, grid, n)
-        add_letters(figure)
-    return figure
-
-
-def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], letters: int) -> None:
-    """Draw rows of panels on the same scales: a column has one axis below, a row one on the left.
-
-    Legends with a title stand above each column, others together above all.
-
-    Parameters
-    ----------
-    letters : of a line of a column's legend.
-    """
-    sharey = "none" if grid[0][0].bars else "row"  # bars have ends, and would be reversed twice
-    all_axes = part.subplots(len(grid), len(grid[0]), squeeze=False, sharex="col", sharey=sharey)
-    entries: dict[str, Any] = {}
-    for i, row in enumerate(grid):
-        for j, (axes, panel) in enumerate(zip(all_axes[i], row, strict=True)):
-            draw(axes, panel, legend_shape(panel, letters)[0] if panel.legend and not i else 0)
-            if not panel.legend:
-                entries |= legend_entries(axes)
-            across = textwrap.fill(axes.get_xlabel(), _LEGEND_LETTERS * 2)
-            axes.set_xlabel(across if i == len(grid) - 1 else "")
-            axes.set_ylabel("" if j else textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
-            axes.tick_params(labelleft=not j)
-            if not (panel.x.log or panel.x.categories):
-                axes.locator_params(axis="x", nbins=4 if len(row) > 1 else 8)
-    part.align_ylabels(all_axes[:, 0])
-    add_shared_legend(part, entries)

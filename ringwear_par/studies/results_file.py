@@ -33,15 +33,18 @@ from ringwear_par.results.variables import (
     edge_elements,
 )
 from ringwear_par.studies.blocks import Block
-from ringwear_par.studies.end_values import (
+from ringwear_par.studies.ensemble import (
     AXES,
     END_VALUES,
     FIELDS,
+    FILE_KIND,
+    RESULTS,
+    SOFTWARE,
+    TABLE,
     VARIABLES,
     entries,
     has_layers,
 )
-from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, join_flags
 from ringwear_par.studies.study import Study
 from ringwear_par.studies.variations import cell, own_key
 from ringwear_par.version import __version__, versions
@@ -84,7 +87,7 @@ def arrays_of(
         for i, place in enumerate(at.tolist()):
             texts["status"][place] = columns.status[i]
             texts["error"][place] = columns.reason[i]
-            texts["flags"][place] = join_flags(columns.flags[i])
+            texts["flags"][place] = ", ".join(columns.flags[i])
         arrays["steps_stored"][at], arrays["elements"][at] = rows, np.where(rows, line.n, 0)
         arrays["seconds"][at], arrays["imbalance"][at] = columns.seconds, columns.imbalance
         stored = np.arange(rows.max(initial=1)) < rows[:, None]

@@ -21,8 +21,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.end_values import end_value_of
-from ringwear_par.studies.ensemble import Ensemble, Factor, factors_of, read_ensemble
+from ringwear_par.studies.ensemble import Ensemble, Factor, end_value_of, factors_of, read_ensemble
 
 log = logging.getLogger(__name__)
 

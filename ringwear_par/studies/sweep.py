@@ -25,14 +25,7 @@ from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_t
 from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
-from ringwear_par.studies.ensemble import (
-    FILE_KIND,
-    RESULTS,
-    SOFTWARE,
-    TABLE,
-    count_flags,
-    split_flags,
-)
+from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
 from ringwear_par.studies.results_file import arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
 from ringwear_par.studies.together import computed_with_pairs
@@ -313,7 +306,7 @@ def _merge(work: _Work) -> None:
 def _summary(work: _Work, computed: int, seconds: float) -> Summary:
     """Return what the results say of their cases. On one rank."""
     with reading(work.folder / RESULTS, SOFTWARE, FILE_KIND) as file:
-        status, flags = file["status"][:], file["flags"][:]
+        status, flags = file["status"][:], file["flags"].asstr()[:]
         worst = float(np.nanmax(file["imbalance"][:], initial=0.0))
     total, failed = len(status), int((status == b"failed").sum())
     lines = [f"cases: {total}, {total - failed} done, {failed} failed"]
@@ -321,10 +314,8 @@ def _summary(work: _Work, computed: int, seconds: float) -> Summary:
         rate = f"{computed / seconds:.3g} a second"
         lines.append(f"{computed} computed in {duration(seconds)}, {rate}; ranks: {work.comm.size}")
     lines.append(f"largest error of balances (force, volume, energy, KKT): {worst:.1e}")
-    words, counts = np.unique(flags[flags != b""], return_counts=True)
-    if len(words):
-        flagged = zip((split_flags(word.decode()) for word in words), counts.tolist(), strict=True)
-        lines.append(count_flags(dict(flagged)))
+    if any(flags):
+        lines.append(count_flags(flags))
     lines.append(f"{work.folder / TABLE}, {work.folder / RESULTS}")
     return Summary(total, total - failed, failed, computed, "\n".join(lines))
 

@@ -57,7 +57,7 @@ PLACES = {
     "studies.many": "results_of",
     "studies.sweep": "run_sweep",
     "studies.together": "computed",
-    "studies.pictures": "plot_stored",
+    "studies.plot": "plot_stored",
     "wear.increment": "Closing WearIncrement",
     "wear.law": "stack_laws",
     "wear.laws.archard": "ArchardLaw",

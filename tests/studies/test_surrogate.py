@@ -10,7 +10,7 @@ from known_sweeps import sample, write
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures import draw_sweep
+from ringwear_par.studies.plot import draw_sweep
 
 KEYS = ("wear.lower.k", "load.pressure", "wear.lower.p0")
 

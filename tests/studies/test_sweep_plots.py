@@ -9,7 +9,8 @@ from known_sweeps import sample, write
 from parts import plot_stored
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures import choose, draw_sweep
+from ringwear_par.studies.pictures import choose
+from ringwear_par.studies.plot import draw_sweep
 
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 

@@ -1,0 +1,175 @@
+"""``rw.plot`` and ``ringwear plot``: the figure of some results, or of a sweep."""
+
+import logging
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.reading import read_case
+from ringwear_par.errors import InputError
+from ringwear_par.files.folders import refuse_drawn
+from ringwear_par.pictures import figures
+from ringwear_par.pictures.matplotlib import (
+    add_letters,
+    add_shared_legend,
+    draw,
+    legend_entries,
+    legend_shape,
+)
+from ringwear_par.pictures.panel import Panel
+from ringwear_par.pictures.rig import draw_rig
+from ringwear_par.pictures.style import (
+    STYLE,
+    NotebookFigure,
+    check_format,
+    of_width,
+    plain,
+    save_figure,
+)
+from ringwear_par.results.result import Result
+from ringwear_par.studies.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.pictures import choose, effects, histories, index_panels
+
+log = logging.getLogger(__name__)
+
+#: most panels in a row, and inches of a panel and of a line of a legend
+_COLUMNS, _PANEL, _LINE = 4, (2.3, 2.1), 0.18
+#: letters of a line in a title, of a legend for each inch, and of a label along a panel's height
+_TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 14, 26
+
+
+def plot(
+    results: Case | figures.Source | Sequence[figures.Source],
+    panels: str | Sequence[str] | None = None,
+    steps: str = "",
+    profiles_of: Sequence[figures.Source] = (),
+    times: str = "",
+    width: float | None = None,
+) -> Figure:
+    """Return the panels of results side by side, the figure of a sweep, or the rig of a case.
+
+    Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
+    one stored) are drawn of every result, one panel each; the histories of all of them share a
+    panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
+    ``pv``).
+
+    Parameters
+    ----------
+    results : a result or a result file, or several; the folder of a sweep; or a case or its file,
+        whose rig is drawn as a section through the axis.
+    panels : names, in a list or separated by commas; None for wear and penetration.
+    steps : comma-separated step numbers of the profiles.
+    profiles_of : those of the results whose profiles and sections are drawn; () for all.
+    times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
+        stored states nearest to them are drawn. Without either: the first step and four quarters.
+
+    width : mm, of the figure; None: what suits it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure : it belongs to no window; ``.savefig`` writes it.
+
+    Raises
+    ------
+    InputError : something that is not a result, an unknown panel, a step not stored; more than its
+        folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> result = rw.simulate(rw.read_case("scripts/cases/paper.toml"))
+    >>> rw.plot(result, "wear,pressure", times="1 s, 200 s").savefig("run.png")
+    """
+    if isinstance(results, Case):
+        return of_width(draw_rig(results), width)
+    several = [results] if isinstance(results, Result | str | Path) else results
+    sources = several if isinstance(several, Sequence) else ()
+    for path in (Path(source) for source in sources if isinstance(source, str | Path)):
+        if not path.is_dir() and path.suffix != ".toml":
+            continue
+        refuse_drawn(path)
+        if len(sources) > 1 or panels is not None or steps or times or profiles_of:
+            raise InputError(
+                f"{path}: a folder or a case must be drawn alone, without other options"
+            )
+        if path.is_dir():
+            return of_width(draw_sweep(read_ensemble(path)), width)
+        return of_width(draw_rig(read_case(path)), width)
+    return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)
+
+
+def plot_stored(
+    results: Sequence[Path], output: Path, dpi: float | None = None, **choices: Any
+) -> None:
+    """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
+
+    The ending of the output chooses the format; dpi are the points of an inch, where it has such.
+    """
+    check_format(output)
+    figure = plot(results, **{name: choice for name, choice in choices.items() if choice})
+    save_figure(figure, output, dpi)
+
+
+# -- of a sweep ------------------------------------------------------------------------------------
+
+
+def draw_sweep(ensemble: Ensemble) -> Figure:
+    """Return the figure of a sweep's results. Not collective."""
+    choice = choose(ensemble)
+    if choice.absence:
+        log.info("no surrogate: %s", choice.absence)
+    panels, bars = effects(ensemble, choice), [*index_panels(choice).values()]
+    keys = [key.name for key in choice.keys]
+    grids = [[[histories(ensemble, choice)]]]
+    grids += [[bars[i : i + 3]] for i in range(0, len(bars), 3)]
+    grids += [
+        [[panels[output, key] for key in keys[i : i + _COLUMNS]] for output in choice.outputs]
+        for i in range(0, len(keys), _COLUMNS)
+    ]
+    width = _PANEL[0] * max(3, *(len(row) for grid in grids for row in grid))
+    letters = [int(_LEGEND_LETTERS * width / len(grid[0])) for grid in grids]
+    heights = [
+        _PANEL[1] * len(grid) + 0.4 + _LINE * max(legend_shape(panel, n)[1] for panel in grid[0])
+        for grid, n in zip(grids, letters, strict=True)
+    ]
+    with matplotlib.rc_context(STYLE):
+        figure = NotebookFigure(figsize=(width, sum(heights) + 0.5), layout="constrained")
+        title = [choice.counts, *textwrap.wrap(choice.remark, _TITLE_LETTERS)]
+        figure.suptitle("\n".join(map(plain, title)), fontsize=9.0)
+        parts: Any = figure.subfigures(len(grids), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for part, grid, n in zip(parts, grids, letters, strict=True):
+            _draw_grid(part, grid, n)
+        add_letters(figure)
+    return figure
+
+
+def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], letters: int) -> None:
+    """Draw rows of panels on the same scales: a column has one axis below, a row one on the left.
+
+    Legends with a title stand above each column, others together above all.
+
+    Parameters
+    ----------
+    letters : of a line of a column's legend.
+    """
+    sharey = "none" if grid[0][0].bars else "row"  # bars have ends, and would be reversed twice
+    all_axes = part.subplots(len(grid), len(grid[0]), squeeze=False, sharex="col", sharey=sharey)
+    entries: dict[str, Any] = {}
+    for i, row in enumerate(grid):
+        for j, (axes, panel) in enumerate(zip(all_axes[i], row, strict=True)):
+            draw(axes, panel, legend_shape(panel, letters)[0] if panel.legend and not i else 0)
+            if not panel.legend:
+                entries |= legend_entries(axes)
+            across = textwrap.fill(axes.get_xlabel(), _LEGEND_LETTERS * 2)
+            axes.set_xlabel(across if i == len(grid) - 1 else "")
+            axes.set_ylabel("" if j else textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
+            axes.tick_params(labelleft=not j)
+            if not (panel.x.log or panel.x.categories):
+                axes.locator_params(axis="x", nbins=4 if len(row) > 1 else 8)
+    part.align_ylabels(all_axes[:, 0])
+    add_shared_legend(part, entries)
