@@ -202,17 +202,11 @@ def _cases(ensemble: Ensemble) -> list[page.Block]:
 
 def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
     """Return cases, (n,) numbers, the worst first: see the caption of their table."""
+    depths = np.nan_to_num(ensemble.final["penetration"][cases]).tolist()
+    counts = [len(flags.split(", ")) if flags else 0 for flags in ensemble.flags]
     order = [
-        (
-            ensemble.status[i] == "done",
-            -len(ensemble.flags[i].split(", ")) if ensemble.flags[i] else 0,
-            -penetration,
-        )
-        for i, penetration in zip(
-            cases.tolist(),
-            np.nan_to_num(ensemble.final["penetration"][cases]).tolist(),
-            strict=True,
-        )
+        (ensemble.status[i] == "done", -counts[i], -depth)
+        for i, depth in zip(cases.tolist(), depths, strict=True)
     ]
     return cases[sorted(range(len(cases)), key=order.__getitem__)]
 
