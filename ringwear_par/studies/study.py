@@ -124,7 +124,7 @@ class Study:
     def keys_of(self, row: Sequence[Any]) -> dict[str, Any]:
         """Return the keys of a case with a row of values."""
         values = [float(value) if isinstance(value, np.float64) else value for value in row]
-        return varied_keys(self.base, self._parts, values)
+        return varied_keys(self.base, self.names, values)
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""

@@ -4,7 +4,7 @@ import csv
 import math
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,11 +114,6 @@ def split_key(name: str) -> tuple[str, int | str | None]:
     return (match[1], match[2]) if match else (name, None)
 
 
-def whole_name(path: str, entry: str) -> str:
-    """Return the name of an entry of a table or of layers, as ``split_key`` takes it."""
-    return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
-
-
 def path_of(name: str) -> str:
     """Return the case key of a varied one, which may be an entry of it."""
     return split_key(name)[0]
@@ -139,14 +134,14 @@ def without_units(name: str, value: Any) -> Any:
 def name_fault(place: str, name: str, loc: str) -> Fault | None:
     """Return why a key cannot vary, None where it can."""
     path, index = split_key(name)
-    if (key_of(name) or BY_PATH.get(path)) is None or (path in LAYERS and key_of(name) is None):
+    key = key_of(name) or (None if path in LAYERS else BY_PATH.get(path))
+    if key is None:
         reason = unknown_key(name if path in LAYERS else path)
         return Fault(f"{place}: {reason}", loc, "unknown_key")
     if name == "title":
         sentence = f"{place}: a title makes no other case; must be another key"
         return Fault(sentence, loc, "not_allowed")
-    file = index in ("file", "trace") and path.endswith(".profile")
-    if file or (isinstance(index, int) and BY_PATH[path].kind != "pair"):
+    if index in ("file", "trace") or (isinstance(index, int) and key.kind != "pair"):
         sentence = f"{place}: {path} has no such entries; must be the key itself"
         return Fault(sentence, loc, "unknown_key")
     return None
@@ -165,20 +160,19 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
 
 
 def varied_keys(
-    base: Mapping[str, Any], parts: Sequence[tuple[str, int | str | None]], row: Sequence[Any]
+    base: Mapping[str, Any], names: Iterable[str], row: Iterable[Any]
 ) -> dict[str, Any]:
-    """Return the dotted keys of a case: those of the base, with a row of values at its parts."""
+    """Return the dotted keys of a case: those of the base, with a row of values of varied keys."""
     changed: dict[str, Any] = {}
-    for (path, index), value in zip(parts, row, strict=True):
-        if index is None:
-            changed[path] = value
-        elif isinstance(index, str):
-            changed[whole_name(path, index)] = value
-        else:
+    for name, value in zip(names, row, strict=True):
+        path, index = split_key(name)
+        if isinstance(index, int):
             before = changed.get(path, base.get(path))
             pair = list(before) if isinstance(before, list) and len(before) == 2 else [None, None]
             pair[index] = value
             changed[path] = pair
+        else:
+            changed[name] = value
     return override(base, changed)
 
 
@@ -284,9 +278,7 @@ def _variation(key: str, entry: Any, method: str, folder: Path) -> Variation:
 
 def _in_full(name: str, folder: Path, value: Any) -> Any:
     """Return a raw value, names of files in it in full: they are relative to the study."""
-    path, entry = split_key(name)
-    whole = whole_name(path, entry) if isinstance(entry, str) else path
-    (complete,) = in_full({whole: value}, folder).values()
+    (complete,) = in_full({_PAIR.sub(r"\1", name): value}, folder).values()
     return complete
 
 
