@@ -8,7 +8,7 @@ and ``cases.csv``. Killed, stopped or started several times at once, the same co
 import fcntl
 import shutil
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +52,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Work:
-    """What the ranks of a sweep have in common, and how far this one is."""
+    """What the ranks of a sweep have in common."""
 
     study: Study
     blocks: Sequence[Block]
@@ -60,8 +60,18 @@ class _Work:
     comm: MPI.Intracomm
     #: ranks that share each case
     ranks_per_case: int
-    #: blocks that were there before
-    before: int
+
+    def goes_on(self) -> str:
+        """Return the words for a sweep that ends before all is there."""
+        count = f"{there(self.blocks)} of {len(self.blocks)}"
+        return f"{count} blocks are there, and the same command goes on"
+
+    def incomplete(self, error: RingwearError) -> RingwearError:
+        """Return the error of a sweep that ends too soon, the same on all ranks."""
+        if not isinstance(error, InputError):
+            error = ComputationError(f"{error}; {self.goes_on()}")
+        error.ranks = self.comm.size
+        return error
 
 
 def sweep(
@@ -99,7 +109,8 @@ def sweep(
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    return _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
+    work = _prepared(study, Path(folder), comm, ranks_per_case, retry_failed)
+    return _without_failures(work, _complete(work))
 
 
 def run_sweep(
@@ -115,8 +126,9 @@ def run_sweep(
     work = _prepared(study, folder, comm, ranks_per_case, retry_failed)
     if dry_run:
         print(_estimate(work))
-    else:
-        _complete(work, print)
+        return
+    print(summary := _complete(work))
+    _without_failures(work, summary)
 
 
 # -- before any work -------------------------------------------------------------------------------
@@ -127,7 +139,7 @@ def _prepared(
 ) -> _Work:
     """Read the study and make the folder, or refuse them. Collective on comm."""
 
-    def read() -> tuple[Study, list[Block], int]:
+    def read() -> tuple[Study, list[Block]]:
         if ranks_per_case < 1 or comm.size % ranks_per_case:
             sizes = ", ".join(str(d) for d in range(1, comm.size + 1) if comm.size % d == 0)
             raise InputError(
@@ -138,10 +150,9 @@ def _prepared(
         blocks = blocks_of(study, folder)
         _prepare_folder(folder, blocks, retry)
         warn_of_threads(comm.size)
-        return study, blocks, there(blocks)
+        return study, blocks
 
-    study, blocks, before = on_first_rank(comm, read)
-    return _Work(study, blocks, folder, comm, ranks_per_case, before)
+    return _Work(*on_first_rank(comm, read), folder, comm, ranks_per_case)
 
 
 def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
@@ -181,14 +192,12 @@ def _has_failed(block: Block) -> bool:
 # -- work ------------------------------------------------------------------------------------------
 
 
-def _complete(work: _Work, say: Callable[[Summary], None] = lambda _: None) -> Summary:
-    """Compute the blocks that are not there, merge them, and say how many failed.
-
-    Collective on work.comm.
+def _complete(work: _Work) -> Summary:
+    """Compute the blocks that are not there, and merge them. Collective on work.comm.
 
     Raises
     ------
-    ComputationError : cases failed, or the disk.
+    InputError, ComputationError : a damaged block, the disk.
     """
     comm, started, computed = work.comm, time.perf_counter(), 0
     try:
@@ -196,14 +205,17 @@ def _complete(work: _Work, say: Callable[[Summary], None] = lambda _: None) -> S
             computed = comm.allreduce(_compute(work))
             on_first_rank(comm, lambda: _merge(work))
     except KeyboardInterrupt as signal:
-        raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {_goes_on(work)}") from None
+        raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {work.goes_on()}") from None
     seconds = time.perf_counter() - started
-    summary = on_first_rank(comm, lambda: _summary(work, computed, seconds))
-    say(summary)
+    return on_first_rank(comm, lambda: _summary(work, computed, seconds))
+
+
+def _without_failures(work: _Work, summary: Summary) -> Summary:
+    """Return the summary of a sweep; ComputationError if cases failed."""
     if summary.failed:
         counts = f"{summary.failed} of {summary.total} cases failed"
         error = ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
-        error.ranks = comm.size
+        error.ranks = work.comm.size
         raise error
     return summary
 
@@ -213,20 +225,20 @@ def _compute(work: _Work, most: float = np.inf) -> int:
 
     Return how many cases, 0 on all ranks of a team but its first. Collective on work.comm.
     """
-    comm, ranks = work.comm, work.ranks_per_case
+    comm, blocks, ranks = work.comm, work.blocks, work.ranks_per_case
     team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
-    progress = Progress(len(work.blocks), work.before) if comm.rank == 0 else None
     pairs: dict[Hashable, ContactPair] = {}
     error: RingwearError | None = None
-    computed, started = 0, time.perf_counter()
+    computed, before, started = 0, there(blocks), time.perf_counter()
+    progress = Progress(len(blocks), before) if comm.rank == 0 else None
     try:
-        with closing(free_blocks(work.blocks, share, shares)) as free:
+        with closing(free_blocks(blocks, share, shares)) as free:
             while most > 0 and (block := on_first_rank(team, lambda: next(free, None))) is not None:
                 _compute_block(work.study, block, pairs, team)
                 computed, most = computed + len(block.numbers) * (team.rank == 0), most - 1
                 if progress is not None and progress.is_due():
-                    done, count = there(work.blocks), len(work.blocks)
-                    pace = (time.perf_counter() - started) / max(done - work.before, 1)
+                    done, count = there(blocks), len(blocks)
+                    pace = (time.perf_counter() - started) / max(done - before, 1)
                     left = duration((count - done) * pace)
                     progress.show(done, "%d of %d blocks are there, %s left", done, count, left)
     except RingwearError as failure:  # of the disk: others go on as long as they can
@@ -237,7 +249,7 @@ def _compute(work: _Work, most: float = np.inf) -> int:
             progress.close()
     errors = [failure for failure in comm.allgather(error) if failure is not None]
     if errors:
-        raise _incomplete(work, errors[0])
+        raise work.incomplete(errors[0])
     return computed
 
 
@@ -261,20 +273,6 @@ def _compute_block(
     on_first_rank(comm, store)
 
 
-def _goes_on(work: _Work) -> str:
-    """Return the words for a sweep that ends before all is there."""
-    count = f"{there(work.blocks)} of {len(work.blocks)}"
-    return f"{count} blocks are there, and the same command goes on"
-
-
-def _incomplete(work: _Work, error: RingwearError) -> RingwearError:
-    """Return the error of a sweep that ends too soon, the same on all ranks."""
-    if not isinstance(error, InputError):
-        error = ComputationError(f"{error}; {_goes_on(work)}")
-    error.ranks = work.comm.size
-    return error
-
-
 def _merge(work: _Work) -> None:
     """Merge all blocks, unless another process has. On rank 0."""
     blocks, folder = work.blocks, work.folder / FOLDER
@@ -288,11 +286,11 @@ def _merge(work: _Work) -> None:
         if is_merged(work.folder, blocks):
             return
         if there(blocks) < len(blocks):
-            raise ComputationError(f"others may be at work on the rest; {_goes_on(work)}")
+            raise ComputationError(f"others may be at work on the rest; {work.goes_on()}")
         try:
             merge(work.study, blocks, work.folder, work.comm.size)
         except (OSError, ComputationError) as error:
-            raise _incomplete(work, as_ours(error)) from error
+            raise work.incomplete(as_ours(error)) from error
         if not any(map(_has_failed, blocks)):  # --retry-failed needs these
             done = folder.with_name(f".{FOLDER}")
             shutil.rmtree(done, ignore_errors=True)
@@ -325,16 +323,16 @@ def _estimate(work: _Work) -> str:
 
     Collective on work.comm.
     """
-    comm, blocks, teams = work.comm, work.blocks, work.comm.size // work.ranks_per_case
+    comm, blocks, started = work.comm, work.blocks, time.perf_counter()
+    merged = on_first_rank(comm, lambda: is_merged(work.folder, blocks))
+    before = on_first_rank(comm, lambda: len(blocks) if merged else there(blocks))
     cases, count = counted(len(work.study), "case"), counted(len(blocks), "block")
-    text, started = f"{cases} in {count}, {work.before} there already", time.perf_counter()
-    if on_first_rank(comm, lambda: is_merged(work.folder, blocks)):
-        return text
-    done = comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
+    text = f"{cases} in {count}, {before} there already"
+    done = 0 if merged else comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
     if not done:
         return text
-    seconds, left = time.perf_counter() - started, len(blocks) - work.before - 1
-    others = duration(float(f"{seconds * -(-left // teams):.2g}"))
+    seconds, left = time.perf_counter() - started, len(blocks) - before - 1
+    others = duration(float(f"{seconds * -(-left * work.ranks_per_case // comm.size):.2g}"))
     return (
         f"{text}\none block of {done} cases took {duration(seconds)}; it stays in "
         f"{work.folder / FOLDER}\nthe other {counted(left, 'block')} on "
