@@ -1,32 +1,29 @@
-"""Many cases at once: those that fail do not disturb the others."""
+"""Many cases at once: the results of single runs, whatever goes on beside them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import (
-    Load,
-    RingwearError,
-    Stepping,
-    Table,
-    ThresholdLaw,
-    Trace,
-    parse_case,
-    restored,
-    simulate_one,
-)
+from mpi4py import MPI
+from parts import RingwearError, ThresholdLaw, parse_case, restored, run_case
 from swept import CASE
 
 import ringwear_par as rw
 from ringwear_par.studies import together
 from ringwear_par.studies.many import simulate_all
 
+ALONE = MPI.COMM_SELF
 KINDS = [rw.FailedResult, rw.Result, rw.FailedResult]
 
 
 @pytest.fixture(scope="module")
 def case():
     return parse_case(CASE, "case", {"time.steps": 2})
+
+
+@pytest.fixture(scope="module")
+def six_steps(case):
+    return case.replace({"time.steps": 6, "output.every": 2})
 
 
 class BadLaw(ThresholdLaw):
@@ -94,20 +91,77 @@ def test_a_law_that_was_written_for_one_history_has_it_to_itself(case, comm):
         assert found.profiles["wear_lower"] == pytest.approx(alone, rel=1e-12)
 
 
-def test_a_history_that_ends_without_load_goes_on(case, comm):
-    """From the result of many histories, as one of a single history would."""
-    force = case.load.force
-    load = Load(case.load.omega, Table((0.0, 20.0, 40.0), (force, 0.0, force)))
-    short, long = (
-        replace(case, load=load, time=Stepping("adaptive", until=until)) for until in (20.0, 40.0)
-    )
-    found, single = simulate_all([short, short], comm)[0], rw.simulate(short, comm)
-    assert found.histories["force"][-1] == 0.0
-    ends = []
-    for start in (restored(found), restored(single)):
-        seen = Trace()
-        simulate_one(long, comm, start=start, observers=[seen])
-        ends.append(seen.last)
-    end, exact = ends
-    assert np.array_equal(end.wear, exact.wear)
-    assert (end.wear[0] > found.profiles["wear_lower"][-1]).all()
+def cases_of(case, **more):
+    """Cases that differ in numbers; one fails, and some stay alone."""
+    changes = [
+        {"wear.lower.k": 2e-7}, {"load.pressure": 50.0, "time.steps": 3}, {"wear.lower.k": 0.5},
+        {"wear.lower.p0": 0.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
+        {"mesh.geometry": "updated"}, {"time.scheme": "explicit"},
+        {"load.pressure": [[0, 9], [9, 90]]},
+        {"time.scheme": "explicit", "time.step": 500.0, "time.steps": 2},
+    ]  # fmt: skip
+    return [case.replace({**change, **more}) for change in changes]
+
+
+def test_results_do_not_depend_on_the_batch(six_steps):
+    """But for round-off."""
+    cases = cases_of(six_steps)
+    for one, other in zip(
+        simulate_all(cases, ALONE), simulate_all(cases, ALONE, batch=2), strict=True
+    ):
+        if isinstance(one, rw.FailedResult):
+            assert str(one.error) == str(other.error)
+            continue
+        assert np.array_equal(one.steps_made, other.steps_made)
+        for name, exact in (one.histories | one.profiles).items():
+            if name == "contact_iterations":
+                continue
+            values = (other.histories | other.profiles)[name]
+            assert np.abs(values - exact).max() <= 1e-9 * max(np.abs(exact).max(), 1e-3), name
+
+
+@pytest.mark.parametrize("profiles", ["all", "last"])
+def test_results_are_those_of_single_cases(six_steps, profiles):
+    cases = cases_of(six_steps, **{"output.profiles": profiles})
+    results = simulate_all(cases, ALONE)
+    for one, mine in zip(cases, results, strict=True):
+        if isinstance(mine, rw.FailedResult):
+            with pytest.raises(rw.ComputationError) as caught:
+                rw.simulate(one, ALONE)
+            assert str(caught.value) == str(mine.error)
+            continue
+        exact = rw.simulate(one, ALONE)
+        assert np.array_equal(mine.step, exact.step)
+        for name, values in (exact.histories | exact.profiles).items():
+            own = {**mine.histories, **mine.profiles}[name]
+            assert own.shape == values.shape
+            assert own.dtype == values.dtype
+            if name == "contact_iterations":
+                continue
+            most = 1e-13 if name == "gap" else 1e-11 * np.abs(values).max()
+            assert np.abs(own - values).max() <= most, name
+        assert mine.doubts == exact.doubts
+        assert mine.attributes.keys() == exact.attributes.keys()
+        for name in ("case", "status", "scheme", "law_lower", "energy_identity"):
+            assert mine.attributes[name] == exact.attributes[name]
+        assert mine.balances.keys() == exact.balances.keys()
+        assert max(mine.balances[n] for n in ("force", "volume", "energy", "residual")) < 1e-9
+    assert results[-1].doubts
+    assert not results[0].doubts
+    assert isinstance(results[2], rw.FailedResult)
+
+
+def test_what_is_stored_goes_on_as_any_run(six_steps, tmp_path):
+    """A result is saved, and a longer run goes on from it."""
+    path, longer = tmp_path / "case.toml", tmp_path / "longer.toml"
+    path.write_text(six_steps.text)
+    longer.write_text(six_steps.replace({"time.steps": 10}).text)
+    (found,) = simulate_all([rw.read_case(path)], ALONE)
+    found.save(tmp_path / "run.h5")
+    assert restored(found).progress.steps == 6
+    run_case(longer, tmp_path / "run.h5", comm=ALONE, restart=True)
+    whole = rw.simulate(rw.read_case(longer), ALONE)
+    gone_on = rw.open_result(tmp_path / "run.h5")
+    assert gone_on.attributes["status"] == "complete"
+    wear = whole.profiles["wear_lower"][-1]
+    assert np.abs(gone_on.profiles["wear_lower"][-1] - wear).max() <= 1e-11 * wear.max()

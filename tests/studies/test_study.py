@@ -129,13 +129,6 @@ def test_samples_fill_their_ranges(write, method):
     assert study.case(0).upper.r == (28.5, outer[0])
 
 
-@pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
-def test_samples_follow_from_their_seed(write, method):
-    values = rows(sampled(write, method, 8))
-    assert rows(sampled(write, method, 8)) == values
-    assert rows(sampled(write, method, 8, seed=2)) != values
-
-
 def test_list_from_a_table(write, tmp_path):
     (tmp_path / "rows.csv").write_text(
         "load.pressure,upper.r,time.scheme\n"

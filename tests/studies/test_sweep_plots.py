@@ -107,14 +107,6 @@ def test_fan_of_histories_with_different_steps(tmp_path):
         assert (last.min(), last.max()) == pytest.approx(ends)
 
 
-def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path):
-    u = sample(KEYS, 2500)
-    fan = draw_sweep(write(tmp_path, KEYS, u, linear(u), "list")).axes[0]
-    assert "1000 of 2500 cases" in fan.get_legend().get_title().get_text()
-    median = fan.lines[-1].get_ydata()[-1]
-    assert median == pytest.approx(1e3 * np.median(linear(u)), rel=0.03)
-
-
 def test_round_off_looks_like_no_effect(tmp_path):
     """Values that differ by it lie on a level line; 2 % are seen as ever."""
     u = np.array(list(itertools.product(np.linspace(0.1, 1.0, 4), repeat=2)))
