@@ -19,8 +19,7 @@ from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
-from ringwear_par.files.folders import refuse_others
-from ringwear_par.files.writing import check_writable, unwritable
+from ringwear_par.files.folders import check_folder
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
@@ -157,10 +156,9 @@ def _prepared(
 
 def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
     """Make the folder, or look that it is of this study; remove what is to be computed again."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; must be a folder, or a new name")
-    refuse_others(folder, "sweep")
     results, merged = folder / RESULTS, is_merged(folder, blocks)
+    if not merged:
+        check_folder(folder, (RESULTS, TABLE), "sweep")
     stored = [results] if results.exists() else [*(folder / FOLDER).glob("*.h5")]
     if stored and not merged and not {block.path for block in blocks} & {*stored}:
         must = "; must be removed, or a new folder"
@@ -173,13 +171,8 @@ def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
         path.unlink()
         results.unlink(missing_ok=True)
         merged = False
-    if merged:
-        return
-    try:
+    if not merged:
         (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder, error) from error
-    check_writable(results)
 
 
 def _has_failed(block: Block) -> bool:
