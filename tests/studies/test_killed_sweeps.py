@@ -59,8 +59,8 @@ def ended(process):
     return process.returncode, *output
 
 
-@pytest.fixture
-def small_blocks(monkeypatch):
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch):
     monkeypatch.setattr(together, "MOST", 2)
 
 
@@ -78,7 +78,6 @@ def swept(tmp_path_factory, comm):
     ("function", "call", "computed"),
     [("write_block", 2, 4), ("_compute_block", 1, 6), ("_append", 2, 0), ("merge", 1, 0)],
 )
-@pytest.mark.usefixtures("small_blocks")
 def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed):
     """What is computed once more is at most the block that was at work."""
     study, reference, _ = swept
@@ -89,7 +88,6 @@ def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-@pytest.mark.usefixtures("small_blocks")
 def test_a_damaged_block_is_refused(tmp_path, swept, comm, share):
     """Once it is removed, the same command computes it anew."""
     study, reference, unmerged = swept
@@ -104,16 +102,6 @@ def test_a_damaged_block_is_refused(tmp_path, swept, comm, share):
     assert_same_sweeps(output, reference)
 
 
-@pytest.mark.usefixtures("small_blocks")
-def test_damaged_results_are_refused(tmp_path, swept, comm):
-    study, reference, _ = swept
-    output = shutil.copytree(reference, tmp_path / "out")
-    (output / "results.h5").write_bytes((output / "results.h5").read_bytes()[:1000])
-    with pytest.raises(rw.InputError, match="damaged; must be removed"):
-        rw.sweep(study, output, comm)
-
-
-@pytest.mark.usefixtures("small_blocks")
 def test_locks_that_killed_processes_left_keep_nobody_out(tmp_path, swept, comm):
     study, reference, unmerged = swept
     output = shutil.copytree(unmerged, tmp_path / "out")
@@ -123,7 +111,6 @@ def test_locks_that_killed_processes_left_keep_nobody_out(tmp_path, swept, comm)
     assert_same_sweeps(output, reference)
 
 
-@pytest.mark.usefixtures("small_blocks")
 def test_a_disk_without_locks(tmp_path, swept, comm, monkeypatch, caplog):
     def flock(*_):
         raise OSError(37, "No locks available")
@@ -162,7 +149,6 @@ def test_a_disk_without_space_for_the_results(tmp_path, swept, comm, monkeypatch
     """One sentence, blocks stay, and the same command goes on."""
     study, reference, unmerged = swept
     output = shutil.copytree(unmerged, tmp_path / "out")
-    monkeypatch.setattr(together, "MOST", 2)
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10_000))
         with pytest.raises(rw.ComputationError, match=r"too full for the results.* 3 of 3 blocks"):

@@ -1,7 +1,6 @@
 """Study files: designs, ids, and cases that are those of their keys."""
 
 import pickle
-import tomllib
 
 import numpy as np
 import pytest
@@ -209,14 +208,3 @@ def test_parameters_of_a_user_law_vary(tmp_path):
     assert cases == [one.case(n) for n in range(5)]
     assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 45, 60, 75, 90]
     assert all(dict(case.wear_lower.parameters)["k"] == 2e-7 for case in cases)
-
-
-def test_tables_in_python_are_a_study(write):
-    """As the file says it, the base case by name or as tables itself."""
-    path = write(GRID)
-    tables = tomllib.loads(path.read_text())
-    of_file = read_study(path)
-    for case in (path.parent / "paper.toml", tomllib.loads(CASE)):
-        found = read_study({**tables, "case": case})
-        assert (ids(found), rows(found)) == (ids(of_file), rows(of_file))
-        assert found.case(3) == of_file.case(3)
