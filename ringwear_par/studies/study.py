@@ -312,20 +312,18 @@ def _check(study: Study, ranks: int) -> None:
     A value is bad if it is with those of the first case, and in the last case that has it.
     """
 
-    def error_of(make: Callable[[], Case], shape: bool = True) -> InputError | None:
+    def error_of(make: Callable[[], Case]) -> InputError | None:
         try:
-            case = make()
-            check_memory(case, ranks, study.name)
-            if shape:
-                check_mesh(case, study.name)
+            make()
         except InputError as error:
             return error
         return None
 
-    if error := error_of(partial(study.case, study.first)):
-        raise error
+    case = study.case(study.first)
+    check_memory(case, ranks, study.name)
+    check_mesh(case, study.name)
     row, faults = [column[study.first] for column in study.columns.values()], list[str]()
-    for i, (key, column) in enumerate(study.columns.items()):
+    for i, column in enumerate(study.columns.values()):
         first, codes = _distinct(column)
         ends = np.arange(len(first))  # or the least and the largest number, or some texts
         if len(first) > _MOST_VALUES:
@@ -334,8 +332,7 @@ def _check(study: Study, ranks: int) -> None:
             keys = study.keys_of([*row[:i], column[first[end]], *row[i + 1 :]])
             make = partial(make_case, keys, f"{study.name}: case {first[end] + 1}", "")
             last = partial(study.case, int(np.flatnonzero(codes == end)[-1]))
-            shape = key.startswith(_SHAPE)
-            if (error := error_of(make, shape)) and error_of(last, shape):
+            if (error := error_of(make)) and error_of(last):
                 faults += error.faults
     if faults:
         raise InputError(*faults)
