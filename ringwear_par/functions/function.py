@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -69,37 +70,26 @@ class Output(NamedTuple):
         return table if self.whole else table.reshape(len(rows))
 
 
+@dataclass(eq=False, repr=False)
 class Function:
     """Numbers of wear histories as a function of numbers of a case, see ``function``.
 
     It can be pickled. MPI starts with the first call.
-
-    Parameters
-    ----------
-    keys : dotted keys and raw values of the case.
-    inputs : keys of its numbers, and their values.
-    outputs : of the function.
-    derivatives : whether it returns derivatives, too.
-
-    Attributes
-    ----------
-    errors : why cases of the last call failed, by number of the case.
     """
 
-    def __init__(
-        self,
-        keys: Mapping[str, Any],
-        inputs: Mapping[str, float],
-        outputs: Sequence[Output],
-        derivatives: bool = False,
-    ) -> None:
-        self._keys, self._inputs, self._outputs = keys, inputs, tuple(outputs)
-        self._derivatives = derivatives
-        self.errors: dict[int, RingwearError] = {}
+    #: dotted keys and raw values of the case
+    keys: Mapping[str, Any]
+    #: keys of its numbers that vary, and their values
+    inputs: Mapping[str, float]
+    outputs: Sequence[Output]
+    #: whether it returns derivatives, too
+    derivatives: bool
+    #: why cases of the last call failed, by number of the case
+    errors: dict[int, RingwearError] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        outputs = ", ".join(output.text for output in self._outputs)
-        return f"<Function: {', '.join(self._inputs)} -> {outputs}>"
+        outputs = ", ".join(output.text for output in self.outputs)
+        return f"<Function: {', '.join(self.inputs)} -> {outputs}>"
 
     @property
     def schema(self) -> dict[str, dict[str, dict[str, Any]]]:
@@ -109,12 +99,12 @@ class Function:
         """
         outputs = {
             output.text: {"unit": output.variable.unit, "meaning": output.variable.meaning}
-            for output in self._outputs
+            for output in self.outputs
         }
         inputs = {}
-        for name, value in self._inputs.items():
+        for name, value in self.inputs.items():
             bounds = [end if math.isfinite(end) else None for end in _ends(name)]
-            unit = unit_under(name, lambda law: [value_of(self._keys, law)]) or "1"
+            unit = unit_under(name, lambda law: [value_of(self.keys, law)]) or "1"
             about = {"unit": unit, "bounds": bounds, "meaning": own_key(name).meaning}
             inputs[name] = {**about, "value": value}
         return {"inputs": inputs, "outputs": outputs}
@@ -141,52 +131,52 @@ class Function:
         ValueError : inputs that do not broadcast together.
         """
         points, shape = self._points(values)
-        if self._derivatives:
+        if self.derivatives:
             steps = self._steps(points[:, 0])
             moved = points + steps[:, None] * np.eye(points.shape[2])
             points = np.concatenate([points, moved], axis=1)
         count, width, inputs = points.shape
         cases = [self._case(row) for row in points.reshape(-1, inputs).tolist()]
-        ends = self._step_ends(cases, comm, width) if self._derivatives else None
+        ends = self._step_ends(cases, comm, width) if self.derivatives else None
         outcomes = _outcomes(cases, comm, ends)
         errors = enumerate(outcomes)
         self.errors = {n // width: e for n, e in errors if isinstance(e, RingwearError)}
         outputs, derivatives = {}, {}
-        for output in self._outputs:
+        for output in self.outputs:
             states = output.of(outcomes)
             size = (*shape, *states.shape[1:])
             states = states.reshape(count, width, *states.shape[1:])
             outputs[output.text] = states[:, 0].reshape(size)[()]
-            for j, name in enumerate(self._inputs if self._derivatives else ()):
+            for j, name in enumerate(self.inputs if self.derivatives else ()):
                 moved = np.moveaxis(states[:, 1 + j] - states[:, 0], 0, -1)
                 slope = np.moveaxis(moved / steps[:, j], -1, 0)
                 derivatives[output.text, name] = slope.reshape(size)[()]
-        return (outputs, derivatives) if self._derivatives else outputs
+        return (outputs, derivatives) if self.derivatives else outputs
 
     def _points(self, values: Mapping[str, Any]) -> tuple[FloatArray, tuple[int, ...]]:
         """Return the inputs of each case, (cases, 1, inputs), and the shape they go together to."""
         values = dict(values)  # of a table of pandas its columns
         faults: list[str] = []
-        name_unknown_keys("function", map(str, values), list(self._inputs), faults)
-        faults += [f"function: {name}: is missing" for name in self._inputs if name not in values]
+        name_unknown_keys("function", map(str, values), list(self.inputs), faults)
+        faults += [f"function: {name}: is missing" for name in self.inputs if name not in values]
         if faults:
             raise InputError(*faults)
-        columns = np.broadcast_arrays(*(_numbers(name, values[name]) for name in self._inputs))
+        columns = np.broadcast_arrays(*(_numbers(name, values[name]) for name in self.inputs))
         points = np.stack([column.ravel() for column in columns], axis=-1)
         return points[:, None], columns[0].shape
 
     def _case(self, row: Sequence[float]) -> Case | InputError:
         """Return the case with other numbers, or all its faults."""
         try:
-            return make_case(varied_keys(self._keys, [*self._inputs], row), "case")
+            return make_case(varied_keys(self.keys, [*self.inputs], row), "case")
         except InputError as error:
             return error
 
     def _steps(self, points: FloatArray) -> FloatArray:
         """Return the differences (cases, inputs) by which inputs are moved, within their bounds."""
-        parts = [_STEP_OF_MODULI if name.endswith("young") else _STEP for name in self._inputs]
+        parts = [_STEP_OF_MODULI if name.endswith("young") else _STEP for name in self.inputs]
         steps = np.array(parts) * np.where(points == 0.0, 1.0, np.abs(points))
-        most = [_ends(name)[1] for name in self._inputs]
+        most = [_ends(name)[1] for name in self.inputs]
         return np.where(points + steps > most, -steps, steps)
 
     def _step_ends(self, cases: list[Any], comm: "MPI.Comm | None", width: int) -> list[Any] | None:
@@ -249,14 +239,8 @@ def _outcomes(
 
     from ringwear_par.studies.many import results_of
 
-    good = [n for n, case in enumerate(cases) if isinstance(case, Case)]
-    step_times = None if ends is None else [ends[n] for n in good]
-    world = MPI.COMM_WORLD if comm is None else comm
-    results = results_of([cases[n] for n in good], world, step_times=step_times)
-    outcomes = list(cases)
-    for n, result in zip(good, results, strict=True):
-        outcomes[n] = result if isinstance(result, Result) else result.error
-    return outcomes
+    results = results_of(cases, MPI.COMM_WORLD if comm is None else comm, step_times=ends)
+    return [result if isinstance(result, Result) else result.error for result in results]
 
 
 # -- reading ---------------------------------------------------------------------------------------
