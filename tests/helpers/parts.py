@@ -52,7 +52,7 @@ PLACES = {
     "results.signals": "StopSignals",
     "results.key_numbers": "key_numbers",
     "results.files": "restored",
-    "results.variables": "HISTORIES PROFILES",
+    "results.variables": "HISTORIES PROFILES edge_elements",
     "schedules": "Table bends in_time integral",
     "studies.many": "results_of",
     "studies.sweep": "run_sweep",

@@ -7,11 +7,10 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
-from parts import ThresholdLaw, parse_case
+from parts import ThresholdLaw, edge_elements, parse_case
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.results.variables import edge_elements
 from ringwear_par.studies import blocks, study, sweep, together
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 
