@@ -155,7 +155,7 @@ def _end_value(source: Variable) -> EndValue:
     axes = ("case", axis_of(source)) if axis_of(source) else ("case",)
     if name in OF_A_CASE:
         return EndValue(
-            name, name, replace(source, dimensions=axes), smooth=name not in LABORATORY_NUMBERS
+            name, name, replace(source, dimensions=axes), name not in LABORATORY_NUMBERS
         )
     when = "at the last stored step"
     stored = f"final_{name}"
@@ -171,21 +171,14 @@ _BY_BODY = zip(
     *(table.values() for table in (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)),
     strict=True,
 )
+_SOURCES = (
+    *(HISTORIES[name] for name in MAIN_END_VALUES),
+    *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
+    *(variable for of_a_body in _BY_BODY for variable in of_a_body),
+    *STRESS.values(),
+)
 #: in the order of the table
-END_VALUES = {
-    end_value.name: end_value
-    for end_value in map(
-        _end_value,
-        (
-            *(HISTORIES[name] for name in MAIN_END_VALUES),
-            *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
-            *(variable for of_a_body in _BY_BODY for variable in of_a_body),
-            *STRESS.values(),
-        ),
-    )
-}
-
-
+END_VALUES = {end_value.name: end_value for end_value in map(_end_value, _SOURCES)}
 #: all variables of results by name, but varied keys
 VARIABLES = {
     **STORED, EDGE_ELEMENT.name: EDGE_ELEMENT,
@@ -274,8 +267,6 @@ def read_ensemble(folder: Path) -> Ensemble:
         )
     with reading(path, SOFTWARE, FILE_KIND) as file:
         attributes = dict(file.attrs)
-        if missing := {"method", "study", "case", "status", "ranks"} - attributes.keys():
-            raise ValueError(missing)
         ids, status, error, flags = (
             tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")
         )

@@ -72,8 +72,6 @@ class Choice:
     #: the varied keys, and those of the largest indices, which are drawn
     varied: list[Factor]
     keys: list[Factor]
-    #: whether the design is one
-    grid: bool
     #: None: there is none, for a reason
     surrogate: Surrogate | None
     absence: str
@@ -113,7 +111,8 @@ def choose(ensemble: Ensemble) -> Choice:
         complete = [name for name in outputs if np.isfinite(ensemble.final[name][cases]).all()]
         made = surrogate(ensemble, complete)
         if len(made.factors) > 1:
-            indices = {name: made.sobol_indices(name) for name in made.good}
+            good = (name for name, error in made.relative_error.items() if 0.0 < error <= GOOD)
+            indices = {name: made.sobol_indices(name) for name in good}
         for _, total in indices.values():
             for name, weight in zip(made.ranges, total.tolist(), strict=True):
                 weights[name] = max(weight, weights[name])
@@ -124,8 +123,7 @@ def choose(ensemble: Ensemble) -> Choice:
     if len(keys) < len(varied):
         reason = "of the largest indices" if indices else "the first"
         counts += f"; {len(keys)} of {len(varied)} keys, {reason}"
-    grid = ensemble.attributes.get("method") == "grid"
-    return Choice(cases, outputs, varied, keys, grid, made, absence, indices, counts)
+    return Choice(cases, outputs, varied, keys, made, absence, indices, counts)
 
 
 def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
@@ -145,12 +143,13 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
     x = Axis(key.label, log=key.logarithmic, categories=_categories(key))
     axes = x, value_axis(label, values), f"{label} over {key.label}"
     others = [other for other in choice.varied if other is not key and other.differs]
-    curves = _curves(key, others, values) if choice.grid else []
+    grid = ensemble.attributes["method"] == "grid"
+    curves = _curves(key, others, values) if grid else []
     if curves:
         return Panel(*axes, curves=curves, legend=",\n".join(other.label for other in others))
     points, bands = [_points(key, values)], []
     made = choice.surrogate
-    if made is not None and output in made.good:
+    if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= GOOD:
         along, mean = made.mean_along(key.name, output)
         shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
         low, mean, high = (display.factor * each for each in shifted)

@@ -205,11 +205,6 @@ class Surrogate:
         return {name: response.relative_error for name, response in self.responses.items()}
 
     @property
-    def good(self) -> list[str]:
-        """Names of the responses that vary and have small errors."""
-        return [name for name, error in self.relative_error.items() if 0.0 < error <= GOOD]
-
-    @property
     def ranges(self) -> dict[str, tuple[Any, ...]]:
         """Lowest and highest value of each varied key; all values of one that is a text."""
         return {factor.name: factor.texts or (factor.low, factor.high) for factor in self.factors}
