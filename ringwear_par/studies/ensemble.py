@@ -20,10 +20,10 @@ from ringwear_par.cases.schema import quantity_label
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results.hdf5 import reading
-from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     HISTORIES,
+    LABORATORY_NUMBERS,
     LARGEST_STRESS,
     LAYER,
     LAYER_HISTORIES,
