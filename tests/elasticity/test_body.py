@@ -7,15 +7,16 @@ import pytest
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import (
+    body_zones,
     boundary_conditions,
-    boundary_responses,
     compliance,
     in_case_frame,
-    solve_body,
+    solve_zones,
 )
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.systems import Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.elasticity.sections import Body, Material, Section
 
 LOWER = Section((20.0, 40.0), 20.0)
 UPPER = Section((28.5, 31.5), 20.0)
@@ -34,9 +35,9 @@ def test_a_node_on_another_element_is_an_error_on_all_ranks(comm):
     conditions, nodes = boundary_conditions(boundary, "clamped"), boundary.nodes.copy()
     start, middle, _ = boundary.elements[boundary.outer_side[3]]
     nodes[boundary.elements[boundary.contact[0], 1]] = 0.3 * nodes[start] + 0.7 * nodes[middle]
-    none = np.empty(0, int)
+    zone = Zone(boundary._replace(nodes=nodes), conditions, Material(1.0, 0.3))
     with pytest.raises(rw.ComputationError, match="too close"):
-        solve_body(boundary._replace(nodes=nodes), conditions, 0.3, 1e-8, none, none, comm)
+        solve_zones([zone], 1e-8, comm)
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999, 0.499999999])
@@ -114,7 +115,8 @@ def test_memory_stays_flat(comm):
 def test_the_whole_boundary_in_both_frames(section, comm):
     mesh = Mesh(24)
     line = contact_line(CONTACT, mesh)
-    (response,) = boundary_responses(Body(section, 1.0, 0.3, "clamped"), line, mesh, comm)
+    zones = body_zones(Body(section, 1.0, 0.3, "clamped"), line, mesh)
+    (response,), _ = solve_zones(zones, mesh.quadrature_tolerance, comm)
     body = response.boundary
     condensed_body = condensed(section, mesh, comm)
     middle = body.elements[body.contact, 1]

@@ -6,15 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.bem.body import (
-    body_zones,
-    boundary_responses,
-    compliance,
-)
+from ringwear_par.elasticity.bem.body import body_zones, compliance, solve_zones
 from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.bem.pair import assemble_pair
+from ringwear_par.elasticity.bem.pair import UpdatedGeometry, assemble_pair
 from ringwear_par.elasticity.bem.systems import number_dofs
-from ringwear_par.elasticity.bem.updated import UpdatedGeometry
 from ringwear_par.elasticity.mesh import Mesh, contact_line, pair_slope
 from ringwear_par.elasticity.sections import Body, Material, Section
 
@@ -42,7 +37,6 @@ BODIES = [(COATED, CONTACT), (layered(UPPER, (0.3, SOFT)), CONTACT), (DISC, (0.0
 #: soft films far thinner than elements are long
 THIN = [(thickness, Material(young, poisson)) for young, poisson, thickness in
         [(1e3, 0.3, 0.003), (1e2, 0.3, 0.001), (1e1, 0.3, 0.01), (1e1, 0.4999, 0.003)]]  # fmt: skip
-QUANTITIES = ("normal", "torsion", "force_reaction", "torque_reaction")
 
 
 def condensed(body, mesh, comm, contact=CONTACT):
@@ -93,7 +87,7 @@ def test_zones_share_their_interfaces_and_balance(body, contact, comm):
     """Displacements are the same, tractions opposite; each zone hands the whole load on."""
     mesh = Mesh(32)
     line = contact_line(contact, mesh, body.section)
-    responses = boundary_responses(body, line, mesh, comm)
+    responses, _ = solve_zones(body_zones(body, line, mesh), mesh.quadrature_tolerance, comm)
     load = np.stack([line.area, line.area * line.arm])
     for upper, lower in itertools.pairwise(responses):
         one = upper.boundary.elements[upper.boundary.below]

@@ -6,11 +6,16 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.body import BoundaryResponse, boundary_responses, in_case_frame
+from ringwear_par.elasticity.bem.body import (
+    BoundaryResponse,
+    body_zones,
+    in_case_frame,
+    solve_zones,
+)
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, node_wear, zone_meshes
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_slope
-from ringwear_par.elasticity.sections import BODIES, Body, BodyName
-from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields, joined
+from ringwear_par.elasticity.sections import BODIES, Body
+from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields
 
 
 class BoundaryRecovery:
@@ -41,7 +46,37 @@ class BoundaryRecovery:
     ) -> None:
         self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
         self._comm, self._fine = comm, fine
-        self._known: dict[BodyName, tuple[FloatArray, list[BoundaryResponse]]] = {}
+        # of each body the wear and the slope that its responses are of
+        self._known: dict[int, tuple[FloatArray, list[BoundaryResponse]]] = {}
+
+    def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
+        """Return the responses of the zones of lower and upper, in the frame of the case.
+
+        Collective on comm; the same objects as long as the elements are the same.
+
+        Parameters
+        ----------
+        shape : (2, n) float, mm, wear that the elements have followed; None: none.
+
+        Raises
+        ------
+        ComputationError : the wear leaves too little of a body, or a factorisation failed.
+        """
+        line, mesh, (lower, upper) = self._line, self._mesh, self._bodies
+        shape = np.zeros((2, line.n)) if shape is None else shape
+        slope = pair_slope((lower.section, upper.section), line, mesh, shape)
+        for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
+            at = np.stack([own, shape[i]])
+            # the slopes and the shape are the same on all ranks, and so is the decision
+            if i in self._known and np.array_equal(self._known[i][0], at):
+                continue
+            self._known.pop(i, None)  # not two at a time
+            worn = node_wear(line, shape[i])
+            zones = body_zones(body, line, mesh, worn, own, fine=self._fine)
+            found, _ = solve_zones(zones, mesh.quadrature_tolerance, self._comm)
+            shown = [in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found]
+            self._known[i] = at, shown
+        return [self._known[i][1] for i in range(2)]
 
     def fields(
         self,
@@ -55,10 +90,8 @@ class BoundaryRecovery:
 
         Displaced by their fields, the bodies touch at the mid-points of elements under pressure,
         measured along the common normal: displacements are those of the collocated equations, and
-        the top of the upper body has come down by the approach. What remains there is the
-        difference between the collocated compliance and the symmetric one that the contact was
-        solved with (see ``symmetric``), which vanishes with the mesh. All of the contact slides,
-        so that friction is mu p everywhere.
+        the top of the upper body has come down by the approach. All of the contact slides, so that
+        friction is mu p everywhere.
 
         Parameters
         ----------
@@ -73,93 +106,38 @@ class BoundaryRecovery:
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
         lower, upper = (
-            joined(
-                [
-                    self._of_zone(i, unit, worn, pressure, approach, friction, wear[i])
-                    for unit, worn in zip(units, self._worn_zones(i, wear[i]), strict=True)
-                ]
-            )
+            self._of_body(i, units, pressure, approach, friction, wear[i])
             for i, units in enumerate(self.responses(shape))
         )
         return lower, upper
 
-    def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
-        """Return the responses of the zones of lower and upper, in the bodies' own frames.
-
-        Collective on comm.
-
-        Parameters
-        ----------
-        shape : (2, n) float, mm, wear that the elements have followed; None: none.
-        """
-        if shape is not None and not shape.any():
-            shape = None
-        sections = self._bodies[0].section, self._bodies[1].section
-        slope = pair_slope(sections, self._line, self._mesh, shape)
-        return [
-            self._of_body(i, body_slope, None if shape is None else shape[i])
-            for i, body_slope in enumerate((slope, -slope))
-        ]
-
-    def _of_zone(
-        self,
-        i: int,
-        unit: BoundaryResponse,
-        worn: BoundaryMesh,
-        p: FloatArray,
-        approach: float,
-        friction: float,
-        wear: FloatArray,
-    ) -> BoundaryFields:
-        which, young = BODIES[i], self._bodies[i].young
-        # unit loads summed: one load is left, that of the case
-        shear = friction * p
-        displacement, traction = (
-            np.concatenate([loads[:, :2] @ p, loads[:, 2:] @ shear], axis=1)
-            for loads in (unit.displacement, unit.traction)
-        )
-        # the same force on elements that wear has tilted, and so lengthened, since the reference
-        longer = (_lengths(unit.boundary) / _lengths(worn))[worn.contact, None]
-        traction[worn.contact] *= longer
-        response = in_case_frame(
-            replace(
-                unit, boundary=worn, displacement=displacement[..., None] / young,
-                traction=traction[..., None],
-            ),
-            which, self._planes[i],
-        )  # fmt: skip
-        moved = response.displacement[..., 0].copy()
-        if which == "upper":
-            moved[:, 1] -= approach
-        elements = len(worn.elements)
-        pressure, depth = np.zeros(elements), np.zeros(elements)
-        if len(worn.contact):
-            pressure[worn.contact], depth[worn.contact] = p, wear
-        face = np.zeros(elements, dtype=np.int64)
-        for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
-            number = "interface" if name in ("above", "below") else name
-            face[getattr(worn, name)] = FACES.index(number)
-        return BoundaryFields(
-            response.boundary.nodes, response.boundary.elements, face, moved,
-            response.traction[..., 0], pressure, depth,
-        )  # fmt: skip
-
     def _of_body(
-        self, i: int, slope: FloatArray, shape: FloatArray | None
-    ) -> list[BoundaryResponse]:
-        """Return the responses of lower (0) or upper (1), of slope and wear (n,). Collective."""
-        line, which = self._line, BODIES[i]
-        worn = None if shape is None or not shape.any() else node_wear(line, shape)
-        at = np.concatenate([slope, np.zeros(line.n + 1) if worn is None else worn])
-        stored = self._known.get(which)
-        # the slopes and the shape are the same on all ranks, and so is the decision
-        if stored is None or not np.array_equal(stored[0], at):
-            self._known.pop(which, None)  # not two at a time
-            responses = boundary_responses(
-                self._bodies[i], line, self._mesh, self._comm, worn, slope, fine=self._fine
+        self, i: int, units: list[BoundaryResponse], p: FloatArray, approach: float,
+        friction: float, wear: FloatArray,
+    ) -> BoundaryFields:  # fmt: skip
+        loads = np.stack([p, p, friction * p])
+        zones, first = [], 0
+        for unit, worn in zip(units, self._worn_zones(i, wear), strict=True):
+            # unit loads summed: one load is left, that of the case
+            displacement, traction = (
+                np.einsum("mcn,cn->mc", values, loads)
+                for values in (unit.displacement, unit.traction)
             )
-            stored = self._known[which] = (at, responses)
-        return stored[1]
+            # the same force on elements that wear has tilted, and so lengthened
+            traction[worn.contact] *= (_lengths(unit.boundary) / _lengths(worn))[worn.contact, None]
+            shown = in_case_frame(replace(unit, boundary=worn), BODIES[i], self._planes[i]).boundary
+            pressure, depth = np.zeros((2, len(worn.elements)))
+            if len(worn.contact):
+                pressure[worn.contact], depth[worn.contact] = p, wear
+            face = np.zeros(len(worn.elements), dtype=np.int64)
+            for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
+                number = "interface" if name in ("above", "below") else name
+                face[getattr(worn, name)] = FACES.index(number)
+            displacement /= self._bodies[i].young
+            displacement[:, 1] -= approach if i == 1 else 0.0
+            elements, first = shown.elements + first, first + len(shown.nodes)
+            zones.append((shown.nodes, elements, face, displacement, traction, pressure, depth))
+        return BoundaryFields(*(np.concatenate(parts) for parts in zip(*zones, strict=True)))
 
     def _worn_zones(self, i: int, wear: FloatArray) -> list[BoundaryMesh]:
         """Return the boundary elements of a body after (n,) mm of wear, in its own frame.

@@ -1,7 +1,6 @@
 """Stress at points of both bodies, on their contact faces and where it is largest."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,14 +8,14 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
-from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
+from ringwear_par.elasticity.bem.body import BoundaryResponse
+from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.sections import BODIES, Body, BodyName
+from ringwear_par.elasticity.sections import Body, BodyName
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, mises
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
-from ringwear_par.elasticity.stress.zone import Influence, ZoneStress
+from ringwear_par.elasticity.stress.zone import ZoneStress
 from ringwear_par.parallel import together
 
 #: points that a rank does in one go; the same whatever the ranks, and so the digits
@@ -50,33 +49,25 @@ class StressPoints(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What is known of one body: points, their zones, and influences."""
+class _UnitStress:
+    """Stress of one body for unit loads (..., 6, n), see ``ZoneStress``."""
 
-    #: its points come first
+    #: whose points come before those asked for
     search: Search
+    #: (p, 2) and (p,), points, their zones, and elements of the contact line over or under them, -1
+    #: for none
     points: FloatArray
     zones: IntArray
-    #: of the points, elements of the contact line over or under them, -1 for none
     under: IntArray
-    #: numbers of points and their influences; those that are this rank's
-    blocks: list[tuple[IntArray, Influence]]
-    #: of the contact elements
-    surface: Influence
-    #: of the elements above and below each interface
-    interfaces: list[tuple[Influence, Influence]]
-    #: of these elements, as ``under``
+    #: numbers of points and stress there; those that are this rank's
+    blocks: list[tuple[IntArray, FloatArray]]
+    #: (n, 6, n), of the contact elements
+    surface: FloatArray
+    #: (i, 2, m, 6, n), of the elements above and below each interface, and (m,) as ``under``
+    interfaces: FloatArray
     under_interfaces: IntArray
     #: number of zones
     layers: int
-
-    def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
-        """Return (p, 6) MPa at all points. Collective on comm."""
-        values = np.zeros((len(self.points), 6))
-        for numbers, influence in self.blocks:
-            values[numbers] = influence.stress(pressure, shear)
-        comm.Allreduce(MPI.IN_PLACE, values, MPI.SUM)  # each is known to one rank: it is exact
-        return values
 
     def largest_of_zones(self, values: FloatArray) -> FloatArray:
         """Return the largest of von Mises stresses in each zone; (0,) where there is one."""
@@ -89,8 +80,8 @@ class _Known:
 class StressRecovery:
     """The stress in two bodies, for any contact solution and wear.
 
-    Points are integrated over when first needed, shared out over the ranks, and anew for a body
-    whose elements have moved; from then on a state takes one product.
+    Points are integrated over when first needed, shared out over the ranks, and anew where elements
+    have moved; from then on a state takes one product.
 
     Parameters
     ----------
@@ -113,11 +104,10 @@ class StressRecovery:
         exclude: float,
         comm: MPI.Comm,
     ) -> None:
-        self._planes, self._points, self._exclude, self._comm = planes, points, exclude, comm
-        self._line = line
+        self._points, self._exclude, self._comm, self._line = points, exclude, comm, line
         self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
-        self._shape: FloatArray | None = None
-        self._known: tuple[_Known, _Known] | None = None
+        self._of: list[list[BoundaryResponse]] = []
+        self._units: list[_UnitStress] = []
 
     def stresses(
         self,
@@ -140,55 +130,45 @@ class StressRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        if shape is not None and not shape.any():
-            shape = None
-        if self._known is None or not _same(shape, self._shape):
-            self._known = None  # not two at a time
-            self._known = self._integrated(shape)
-            self._shape = None if shape is None else shape.copy()
-        shear = friction * pressure
+        bodies = self._boundaries.responses(shape)
+        if not self._of or any(new is not old for new, old in zip(bodies, self._of, strict=True)):
+            self._of, self._units = bodies, []  # not two at a time
+            around = np.concatenate([edges([zone.boundary for zone in body]) for body in bodies])
+            self._units = [self._integrated(i, body, around) for i, body in enumerate(bodies)]
         lower, upper = (
-            self._of_body(known, pressure, shear, None if gone is None else gone[i])
-            for i, known in enumerate(self._known)
+            self._of_body(units, pressure, friction, None if gone is None else gone[i])
+            for i, units in enumerate(self._units)
         )
         return lower, upper
 
     def _of_body(
-        self, known: _Known, pressure: FloatArray, shear: FloatArray, gone: BoolArray | None
+        self, units: _UnitStress, pressure: FloatArray, friction: float, gone: BoolArray | None
     ) -> BodyStress:
-        stress = known.stress(pressure, shear, self._comm)
-        surface = known.surface.stress(pressure, shear)
-        along = np.array(
-            [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
-        ).reshape(len(known.interfaces), 2, len(known.under_interfaces), 6)
+        def under_load(unit: FloatArray) -> FloatArray:
+            stress: FloatArray = unit @ pressure
+            stress[..., 4:] *= friction
+            return stress
+
+        stress = np.zeros((len(units.points), 6))
+        for numbers, block in units.blocks:
+            stress[numbers] = under_load(block)
+        self._comm.Allreduce(MPI.IN_PLACE, stress, MPI.SUM)  # each is known to one rank
+        surface, along = under_load(units.surface), under_load(units.interfaces)
         if gone is not None and gone.any():
-            lost = np.zeros((known.layers, gone.shape[1] + 1), dtype=bool)
+            lost = np.zeros((units.layers, gone.shape[1] + 1), dtype=bool)
             lost[:-1, :-1] = gone  # nothing of the body itself, nothing beside the contact (-1)
-            stress[lost[known.zones, known.under]] = np.nan
+            stress[lost[units.zones, units.under]] = np.nan
             surface[gone[0]] = np.nan
-            along[np.repeat(lost[:-1, None, known.under_interfaces], 2, axis=1)] = np.nan
-        n_search = len(known.search.points)
+            along[np.repeat(lost[:-1, None, units.under_interfaces], 2, axis=1)] = np.nan
+        n_search = len(units.search.points)
         values = mises(stress)
-        values[n_search:][~known.search.allows(known.points[n_search:])] = np.nan
-        return BodyStress(
-            stress[n_search:],
-            surface,
-            known.search.largest(known.points, known.zones, values),
-            along,
-            known.largest_of_zones(values),
-        )
+        values[n_search:][~units.search.allows(units.points[n_search:])] = np.nan
+        largest = units.search.largest(units.points, units.zones, values)
+        in_layers = units.largest_of_zones(values)
+        return BodyStress(stress[n_search:], surface, largest, along, in_layers)
 
-    def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
-        """Return the influences of both bodies. Collective on comm."""
-        zones = [
-            [in_case_frame(unit, BODIES[i], self._planes[i]) for unit in units]
-            for i, units in enumerate(self._boundaries.responses(shape))
-        ]
-        around = np.concatenate([edges([zone.boundary for zone in body]) for body in zones])
-        lower, upper = (self._of_zones(i, body, around) for i, body in enumerate(zones))
-        return lower, upper
-
-    def _of_zones(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _Known:
+    def _integrated(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _UnitStress:
+        """Return the stress of lower (0) or upper (1) for unit loads. Collective on comm."""
         boundaries, stresses = [zone.boundary for zone in zones], list(map(ZoneStress, zones))
         search = Search(boundaries, around, self._exclude)
         wanted, sides = self._points[i]
@@ -200,16 +180,19 @@ class StressRecovery:
             for of_zone in [np.flatnonzero(numbers == k)]
             for first in range(0, len(of_zone), _BLOCK)
         ]
-        mine = parts[self._comm.rank :: self._comm.size]
         with together(self._comm):
+            mine = parts[self._comm.rank :: self._comm.size]
             blocks = [(rows, zone.at(points[rows])) for zone, rows in mine]
-            faces = [zone.surface for zone in stresses]
+        faces, n = [zone.surface for zone in stresses], self._line.n
         middles = boundaries[0].nodes[boundaries[0].elements[boundaries[0].below, 1], 0]
-        return _Known(
+        interfaces = np.empty((len(zones) - 1, 2, len(middles), 6, n))
+        for at, (outer, inner) in enumerate(itertools.pairwise(range(len(zones)))):
+            towards, away = (0, 1) if i == 0 else (1, 0)  # the contact
+            interfaces[at, towards] = faces[outer][boundaries[outer].below]
+            interfaces[at, away] = faces[inner][boundaries[inner].above]
+        return _UnitStress(
             search, points, numbers, self._line.element_at(points[:, 0]), blocks,
-            _at(faces[0], boundaries[0].contact),
-            _beside_interfaces(boundaries, faces, BODIES[i]), self._line.element_at(middles),
-            len(zones),
+            faces[0][boundaries[0].contact], interfaces, self._line.element_at(middles), len(zones),
         )  # fmt: skip
 
 
@@ -227,24 +210,3 @@ def interfaces(
     upward = 1.0 if which == "lower" else -1.0
     heights = [plane + upward * middle[0, 1] for middle in middles]
     return Interfaces(middles[0][:, 0] if middles else np.empty(0), np.array(heights))
-
-
-def _at(influence: Influence, elements: IntArray) -> Influence:
-    return Influence(influence.normal[elements], influence.torsion[elements])
-
-
-def _beside_interfaces(
-    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: BodyName
-) -> list[tuple[Influence, Influence]]:
-    """Return the stress above and below each interface, from those on the zones' boundaries."""
-    sides = []
-    for i, (outer, inner) in enumerate(itertools.pairwise(boundaries)):
-        towards, away = _at(faces[i], outer.below), _at(faces[i + 1], inner.above)
-        sides.append((towards, away) if which == "lower" else (away, towards))
-    return sides
-
-
-def _same(first: FloatArray | None, second: FloatArray | None) -> bool:
-    if first is None or second is None:
-        return first is second
-    return bool(np.array_equal(first, second))
