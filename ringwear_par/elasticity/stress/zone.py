@@ -2,8 +2,8 @@
 
 Inside it is Somigliana's identity. Closer to the boundary than a good part of an element, tractions
 that are constant on elements show through: there the stress is interpolated along the way inwards,
-between that on the surface (see ``mid_stress``) and the one where the integrals are right, or,
-where the body is thinner than that, the one on its other side.
+between that on the surface (see ``mid_stress``) and those deeper, or, where the body is thinner
+than that, the one on its other side.
 
 Where discs touch, friction jumps on the axis, from one direction to the other: what is under it
 depends on r over the depth, of which the way inwards shows nothing. Beside the axis the integrals
@@ -25,7 +25,7 @@ from ringwear_par.errors import ComputationError
 #: least depth, in element lengths, at which the integrals are right
 _DEEP = 0.6
 #: least depth, over that, at which the integrals are taken beside the axis
-_SHALLOW = 1.7e-3
+_SHALLOW = 1.0 / 600.0
 #: share of the body's size within which a point lies on its boundary
 _ON_BOUNDARY = 1e-9
 #: share of an element's length by which a point may lie beyond it: faces are curved, it is not
@@ -107,39 +107,57 @@ class ZoneStress:
         """
         at = locate(self._boundary, points)
         size = self._faces.size(at.element, at.t)
-        deep, outside = _DEEP * size, at.distance < -np.maximum(self._thin, _BEYOND * size)
-        on_face, inside = ~outside & (at.distance <= self._thin), at.distance >= deep
-        # what counts: integrals at the point and further inwards, surface stress and opposite one
-        own, inner, surface, opposite = np.zeros((4, len(points)))
-        own[inside], surface[on_face] = 1.0, 1.0
-        near = np.flatnonzero(~outside & ~on_face & ~inside)
-        inwards = (points[near] - at.foot[near]) / at.distance[near, None]
-        far, far_element, far_t = self._opposite(points[near], inwards)
-        far += at.distance[near]
-        is_thin = far <= deep[near] + _DEEP * self._faces.size(far_element, far_t)
-        share = at.distance[near] / np.where(is_thin, far, deep[near])
-        samples = points.copy()
-        samples[near] = at.foot[near] + deep[near, None] * inwards
-        # at a corner, which is as near, what the integrals give at the point itself
-        at_corner = ~is_thin & ~self._is_deep(samples[near])
-        samples[near[at_corner]] = points[near[at_corner]]
-        beside = np.where(is_thin | ~at_corner, self._beside_axis(at, points, deep)[near], 0.0)
-        own[near] = beside
-        surface[near] = (1.0 - beside) * (1.0 - share)
-        inner[near] = np.where(is_thin, 0.0, (1.0 - beside) * share)
-        opposite[near] = np.where(is_thin, (1.0 - beside) * share, 0.0)
+        outside = at.distance < -np.maximum(self._thin, _BEYOND * size)
+        on_face = ~outside & (at.distance <= self._thin)
+        inside = at.distance >= _DEEP * size
         stress = np.zeros((len(points), 6, self._values.shape[2]))
-        for p in np.flatnonzero(surface):
-            stress[p] = surface[p] * self._on_surface(at.element[p], at.t[p])
-        for p in np.flatnonzero(opposite[near]):
-            stress[near[p]] += opposite[near[p]] * self._on_surface(far_element[p], far_t[p])
-        for weight, where in ((own, points), (inner, samples)):
-            if len(chosen := np.flatnonzero(weight)):
-                stress[chosen] += weight[chosen, None, None] * self._integrated(where[chosen])
+        for p in np.flatnonzero(on_face):
+            stress[p] = self._on_surface(at.element[p], at.t[p])
+        near = np.flatnonzero(~outside & ~on_face & ~inside)
+        if len(near):
+            stress[near] = self._near_surface(points[near], Located(*(x[near] for x in at)))
+        if inside.any():
+            stress[inside] = self._integrated(points[inside])
         on_axis = points[:, 0] <= self._thin
         stress[on_axis, :2] = stress[on_axis, :2].mean(axis=1, keepdims=True)
         stress[on_axis, 3:] = 0.0
         stress[outside] = np.nan
+        return stress
+
+    def _near_surface(self, points: FloatArray, at: Located) -> FloatArray:
+        """Return the stress at points too near to the surface for integrals, (p, 6, n).
+
+        By parabolas through the surface stress, and the integrals at twice the depth from which on
+        they are right and at that depth; where the body is thinner, through that on its other side.
+        """
+        depth, deep = at.distance, _DEEP * self._faces.size(at.element, at.t)
+        inwards = (points - at.foot) / depth[:, None]
+        far, far_element, far_t = self._opposite(points, inwards)
+        far += depth
+        both = deep + _DEEP * self._faces.size(far_element, far_t)
+        thick, thin = far > deep + both, far <= both
+        middle, end = np.where(thick, deep, far * deep / both), np.where(thick, 2.0 * deep, far)
+        at_middle, at_end = (at.foot + x[:, None] * inwards for x in (middle, end))
+        surface = np.where(thin, 1.0, 1.0 - depth / middle) * (1.0 - depth / end)
+        inner = np.where(thin, 0.0, depth * (end - depth) / (middle * (end - middle)))
+        last = 1.0 - surface - inner
+        # at a corner, which is as near, what the integrals give at the point itself
+        corner = ~thin & ~(self._is_deep(at_middle) & (~thick | self._is_deep(at_end)))
+        share = _smooth(np.where(corner, depth / deep, self._beside_axis(points, at, deep)))
+        away = 1.0 - share
+        surface, inner, last = (
+            np.where(corner, x, y) * away for x, y in ((1.0, surface), (0.0, inner), (0.0, last))
+        )
+        terms = ((share, points), (inner, at_middle), (np.where(thick, last, 0.0), at_end))
+        stress = np.zeros((len(points), 6, self._values.shape[2]))
+        for weights, places in terms:
+            chosen = np.flatnonzero(weights)
+            if len(chosen):
+                stress[chosen] += weights[chosen, None, None] * self._integrated(places[chosen])
+        for p in range(len(points)):
+            stress[p] += surface[p] * self._on_surface(at.element[p], at.t[p])
+            if not thick[p]:
+                stress[p] += last[p] * self._on_surface(far_element[p], far_t[p])
         return stress
 
     def _on_surface(self, element: int, t: float) -> FloatArray:
@@ -147,21 +165,17 @@ class ZoneStress:
         elements, weights = self._faces.weights(element, t)
         return np.tensordot(weights, self.surface[elements], 1)
 
-    def _beside_axis(self, at: Located, points: FloatArray, deep: FloatArray) -> FloatArray:
-        """Return what the integrals count near the surface beside the axis, where friction jumps.
+    def _beside_axis(self, points: FloatArray, at: Located, deep: FloatArray) -> FloatArray:
+        """Return where integrals count near the surface beside the axis, as friction jumps there.
 
-        All in the inner half of an element at the axis that friction goes through, none at its end.
+        1 in the inner half of an element at the axis that friction goes through, 0 at its end.
         """
-        loaded = np.concatenate(
-            [self._boundary.contact, self._boundary.above, self._boundary.below]
-        )
-        ends = np.sort(self._boundary.nodes[self._boundary.elements[:, [0, 2]], 0], axis=1)
-        reach = np.zeros(len(ends))
-        reach[loaded] = np.where(ends[loaded, 0] <= self._thin, ends[loaded, 1], 0.0)
-        beside = (reach[at.element] > 0.0) & (at.distance > _SHALLOW * deep)
-        share = np.zeros(len(points))
-        share[beside] = np.clip(2.0 - 2.0 * points[beside, 0] / reach[at.element[beside]], 0.0, 1.0)
-        return share * share * (3.0 - 2.0 * share)
+        boundary = self._boundary
+        loaded = np.concatenate([boundary.contact, boundary.above, boundary.below])
+        ends = np.sort(boundary.nodes[boundary.elements[:, [0, 2]], 0], axis=1)[at.element]
+        beside = np.isin(at.element, loaded) & (ends[:, 0] <= self._thin)
+        beside &= at.distance > _SHALLOW * deep
+        return np.where(beside, np.clip(2.0 - 2.0 * points[:, 0] / ends[:, 1], 0.0, 1.0), 0.0)
 
     def _is_deep(self, samples: FloatArray) -> BoolArray:
         """Tell which samples are inside, and so deep that the integrals are right."""
@@ -223,3 +237,8 @@ class ZoneStress:
             for part, of in ((normal, self._values[:2].reshape(-1, n)), (torsion, self._values[2]))
         ]
         return np.concatenate(stresses).transpose(1, 0, 2)
+
+
+def _smooth(x: FloatArray) -> FloatArray:
+    """Return a smooth step from 0 to 1 with x, level at both ends."""
+    return x * x * (3.0 - 2.0 * x)
