@@ -487,20 +487,20 @@ static int set_points_around(Points *points, const Rules *rules, const Element *
 }
 
 /* Set the integrals over an element that is close to the first of sources, or holds it as its node
-   `at`, elsewhere -1. Return the points, -1: too many. */
+   `at`, elsewhere -1; 0: it is too close. */
 static int integrate_near(Tile *tile, Integrals *sums, Points *points, const Element *e, int pairs,
                           const Sources *sources, int at, const Rules *rules, double nu)
 {
     points->count = 0;
     if (!(at < 0 ? add_points(points, rules, e, sources->a[0], sources->b[0], 0.0, 1.0, 0)
                  : set_points_around(points, rules, e, sources->r[0], 0.5 * at)))
-        return -1;
+        return 0;
     for (int first = 0; first < points->count; first += TILE) {
         const int n = points->count - first < TILE ? points->count - first : TILE;
         integrate(tile, sums, e, pairs, sources, 1, at, n, points->place + first,
                   points->weight + first, first > 0, nu);
     }
-    return points->count;
+    return 1;
 }
 
 /* Add integrals for sources to a column, at their rows, of which -1 is none. */

@@ -8,6 +8,8 @@ element, or so close to it that it is cut in parts, one by one.
 
 import numpy as np
 
+from ringwear_par.errors import ComputationError
+
 from libc.math cimport sqrt
 from libc.stdint cimport int64_t
 
@@ -105,12 +107,12 @@ cdef class Integrator:
             self.tile.r[i] = self.tile.a[i] = self.tile.b[i] = self.tile.nr[i] = 1.0
             self.tile.nz[i] = 0.0
 
-    cdef int64_t integrate(self) noexcept:
-        """Add the integrals over the element; return kernel evaluations, -1: one is too close."""
+    cdef bint integrate(self) noexcept:
+        """Add the integrals over the element; tell whether no source is too close."""
         cdef const Element *e = &self.element
         cdef double a, b, distance
-        cdef int64_t source, evaluations = 0
-        cdef int added, i, n = 1
+        cdef int64_t source
+        cdef int i, n = 1
         for i in range(ROW):
             self.tile.nr[i], self.tile.nz[i] = e.nr, e.nz
         for source in range(self.sources.shape[0]):
@@ -119,42 +121,39 @@ cdef class Integrator:
             a, b = a + e.dr, b + e.dz
             n = points_needed(&self.rules, (distance + sqrt(a * a + b * b)) / e.length, n)
             if n > MAX_POINTS:
-                added = self.integrate_near(source)
-                if added < 0:
-                    return -1
-                evaluations += added
+                if not self.integrate_near(source):
+                    return False
             else:
                 self.waiting[n][self.count[n]] = source
                 self.count[n] += 1
                 if (self.count[n] + 1) * n > TILE:
-                    evaluations += self.integrate_waiting(n)
+                    self.integrate_waiting(n)
         for n in range(1, MAX_POINTS + 1):
-            evaluations += self.integrate_waiting(n)
-        return evaluations
+            if self.count[n] > 0:
+                self.integrate_waiting(n)
+        return True
 
-    cdef int integrate_near(self, int64_t source) noexcept:
-        """Integrate for one source; return kernel evaluations, -1: it is too close."""
-        cdef int c, added, at = -1
+    cdef bint integrate_near(self, int64_t source) noexcept:
+        """Integrate for one source; tell whether it is not too close."""
+        cdef int c, at = -1
         for c in range(3):
             if self.local[c] == self.nodes[source]:
                 at = c
         self.put_side_by_side(&source, 1, at)
-        added = integrate_near(&self.tile, &self.sums, &self.points, &self.element, self.pairs,
-                               &self.side_by_side, at, &self.rules, self.poisson)
-        if added >= 0:
-            self.add(&source, 1)
-        return added
+        if not integrate_near(&self.tile, &self.sums, &self.points, &self.element, self.pairs,
+                              &self.side_by_side, at, &self.rules, self.poisson):
+            return False
+        self.add(&source, 1)
+        return True
 
-    cdef int integrate_waiting(self, int n) noexcept:
-        """Integrate for sources that wait for a rule of n points; return kernel evaluations."""
-        cdef int count = self.count[n], at = n * MAX_POINTS
-        if count > 0:
-            self.put_side_by_side(self.waiting[n], count, -1)
-            integrate(&self.tile, &self.sums, &self.element, self.pairs, &self.side_by_side, count,
-                      -1, n, self.rules.points + at, self.rules.weights + at, 0, self.poisson)
-            self.add(self.waiting[n], count)
-            self.count[n] = 0
-        return n * count
+    cdef void integrate_waiting(self, int n) noexcept:
+        """Integrate for sources that wait for a rule of n points."""
+        cdef int count = self.count[n], rule = n * MAX_POINTS
+        self.put_side_by_side(self.waiting[n], count, -1)
+        integrate(&self.tile, &self.sums, &self.element, self.pairs, &self.side_by_side, count, -1,
+                  n, self.rules.points + rule, self.rules.weights + rule, 0, self.poisson)
+        self.add(self.waiting[n], count)
+        self.count[n] = 0
 
     cdef void put_side_by_side(self, const int64_t *sources, int count, int at) noexcept:
         cdef Sources *s = &self.side_by_side
@@ -205,10 +204,10 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
     Returns
     -------
     own : (pairs, p) float, integrals over the fields that are subtracted, see ``_rings.h``.
-    evaluations : kernel evaluations; -1: some sources and elements are too close to each other.
 
     Raises
     ------
+    ComputationError : some sources and elements are too close to each other.
     ValueError : arrays do not fit each other.
     """
     first = boundary.nodes[boundary.elements[:, 0]]
@@ -218,7 +217,6 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
         [first, along, length, along[:, 1:] / length, -along[:, :1] / length])
     cdef const int64_t[:, ::1] elements = boundary.elements
     cdef Integrator work = Integrator()
-    cdef int64_t added, evaluations = 0
     cdef Py_ssize_t e
     cdef int c
     work.sources, work.nodes, work.rows, work.columns = sources, nodes, rows, columns
@@ -242,11 +240,13 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
         work.number = e
         for c in range(3):
             work.local[c] = elements[e, c]
-        added = work.integrate()
-        if added < 0:
-            return own, -1
-        evaluations += added
-    return own, evaluations
+        if not work.integrate():
+            raise ComputationError(
+                "boundary elements, or points of stress, lie too close to others, which are long "
+                "for that, to be integrated over: thicker layers or bodies, or a milder "
+                "mesh.grading, are needed"
+            )
+    return own
 
 
 def moments(double r, double a, double b):

@@ -25,7 +25,6 @@ from ringwear_par.elasticity._rings import integrate_rows
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.quadrature import Quadrature
 from ringwear_par.elasticity.sections import Material
-from ringwear_par.errors import ComputationError
 
 #: components of the (r, z) and of the theta system
 SYSTEMS = slice(0, 2), slice(2, 3)
@@ -139,8 +138,8 @@ def _numbers(collocated: BoolArray) -> IntArray:
 
 def assemble(
     zones: Sequence[Zone], dofs: Sequence[DofMap], rules: Quadrature, comm: MPI.Comm
-) -> tuple[Rows, Rows, int]:
-    """Return this rank's rows of the (r, z) and of the theta system, and kernel evaluations.
+) -> tuple[Rows, Rows]:
+    """Return this rank's rows of the (r, z) and of the theta system.
 
     Not collective. Nodes of all zones are shared out in equal runs, so a rank holds about 1/size of
     the rows.
@@ -165,10 +164,9 @@ def assemble(
     entries = np.zeros(sizes.sum())
     # of the components: where their system starts, its rows before those of this rank, its shape
     systems = np.stack([[0, sizes[0]], row[:, begin], heights, widths])[:, [0, 0, 1]]
-    evaluations = 0
     for zone, numbers, start in zip(zones, dofs, first[:-1].tolist(), strict=True):
         nodes = np.arange(max(begin - start, 0), min(end - start, len(zone.boundary.nodes)))
-        evaluations += _add_rows(zone, numbers, rules, nodes, systems, entries)
+        _add_rows(zone, numbers, rules, nodes, systems, entries)
     normal, torsion = (
         Rows(columns[:, :width], columns[:, width:], tuple(zone_starts.tolist()))
         for width, zone_starts, columns in (
@@ -178,14 +176,14 @@ def assemble(
             )
         )
     )
-    return normal, torsion, evaluations
+    return normal, torsion
 
 
 def _add_rows(
     zone: Zone, dofs: DofMap, rules: Quadrature, nodes: IntArray, systems: IntArray,
     entries: FloatArray,
-) -> int:  # fmt: skip
-    """Add the rows collocated at some nodes of a zone; return kernel evaluations."""
+) -> None:  # fmt: skip
+    """Add the rows collocated at some nodes of a zone."""
     boundary, (_, load, traction, _) = zone.boundary, zone.conditions
     starts, before, heights, widths = systems
     rows = np.where(dofs.equation[nodes] >= 0, dofs.equation[nodes] - before, -1)
@@ -198,13 +196,11 @@ def _add_rows(
     factors = np.ones(columns.shape)
     factors[:, :, 3] = np.where(unknown, -dofs.sign[:, None], traction) / zone.material.young
     sources = np.ascontiguousarray(boundary.nodes[nodes][:, [0, 1, 1]])
-    own, evaluations = integrate_rows(
+    own = integrate_rows(
         sources, nodes, boundary, zone.material.poisson, rules,
         columns.take(_DIRECTION, axis=1), factors.take(_DIRECTION, axis=1),
         rows.take(_COMPONENT, axis=0), entries,
     )  # fmt: skip
-    if evaluations < 0:
-        raise ComputationError(TOO_CLOSE)
     inverse = np.divide(1.0, sources[:, 0], where=sources[:, 0] > 0.0, out=np.zeros(len(nodes)))
     for integrals, component, direction in zip(own, _COMPONENT, _DIRECTION, strict=True):
         # on the axis u_r = u_theta = 0, elsewhere the field that is subtracted goes with u over r
@@ -212,11 +208,3 @@ def _add_rows(
         at = (rows[component] >= 0) & (column[nodes, direction] >= 0)
         own_column = starts[direction] + heights[direction] * column[nodes[at], direction]
         entries[own_column + rows[component, at]] += (scale * integrals)[at]
-    return evaluations
-
-
-#: why integrals over boundary elements are refused
-TOO_CLOSE = (
-    "boundary elements lie too close to each other, or are too long for it, to be integrated over: "
-    "thicker layers or bodies, or a milder mesh.grading, are needed"
-)

@@ -20,7 +20,6 @@ from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.stress.surface import faces, mid_stress
-from ringwear_par.errors import ComputationError
 
 #: least depth, in element lengths, at which the integrals are right
 _DEEP = 0.6
@@ -47,6 +46,11 @@ class Located(NamedTuple):
     foot: FloatArray
     #: (p,) float, mm, to it, negative outside
     distance: FloatArray
+
+    def of(self, points: IntArray) -> "Located":
+        """Return where some of the points lie."""
+        element, t, foot, distance = self
+        return Located(element[points], t[points], foot[points], distance[points])
 
 
 def locate(boundary: BoundaryMesh, points: FloatArray) -> Located:
@@ -115,7 +119,7 @@ class ZoneStress:
             stress[p] = self._on_surface(at.element[p], at.t[p])
         near = np.flatnonzero(~outside & ~on_face & ~inside)
         if len(near):
-            stress[near] = self._near_surface(points[near], Located(*(x[near] for x in at)))
+            stress[near] = self._near_surface(points[near], at.of(near))
         if inside.any():
             stress[inside] = self._integrated(points[inside])
         on_axis = points[:, 0] <= self._thin
@@ -218,16 +222,10 @@ class ZoneStress:
         values = np.hstack([elements, len(nodes) + np.arange(len(elements))[:, None]])
         factors = np.tile([-1.0, -1.0, -1.0, 1.0], (len(elements), len(_DIRECTION), 1))
         rows, entries = p * _COMPONENT[:, None] + np.arange(p), np.zeros(10 * p * width)
-        own, evaluations = integrate_rows(
+        own = -integrate_rows(
             np.column_stack([points, z0]), np.full(p, -1), self._boundary, self._poisson,
             quadrature(_TOLERANCE), starts + heights * values[:, None], factors, rows, entries,
         )  # fmt: skip
-        if evaluations < 0:
-            raise ComputationError(
-                "stress: points lie too close to elements that are long for that, to be "
-                "integrated: thicker layers or bodies, or a milder mesh.grading, are needed"
-            )
-        own = -own
         own[:2] += 1.0 / (1.0 - self._poisson)  # stresses rr = tt of u_r = r where zz is 0
         own[_DIRECTION != 1] *= np.divide(1.0, r, where=r > 0.0, out=np.zeros_like(r))
         entries[starts + heights * nearest + rows] += own
