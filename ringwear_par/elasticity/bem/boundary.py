@@ -26,8 +26,8 @@ _PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
 _LAYERED = 1.6, 3.5, 1.3
 #: the same where stresses beside the contact are computed
 _FINE = 3.0, 4.0, 1.3
-#: contact elements above which dense systems exceed any machine's memory
-_MOST_MADE = 100_000
+#: most contact elements of a mesh that is made to count its elements
+_MOST_MADE = 1000
 #: fewest elements of a free or fixed face
 _FEWEST = 4
 #: longest elements of the fixed face, in distances from the contact line over the number of contact
@@ -186,20 +186,14 @@ def face_elements(
 
 @lru_cache(maxsize=64)
 def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
-    """Return the number of boundary elements that ``zone_meshes`` would make."""
-    (inner, outer), (a, b) = section.r, contact
-    face = face_elements(section, contact, mesh)
-    sides = [outer == b, *([] if inner == 0 else [inner == a])]
-    # larger meshes than any machine holds are counted, never made: in proportion to a smaller one
-    counted = replace(mesh, contact_elements=min(mesh.contact_elements, _MOST_MADE))
-    fixed = len(_fixed_face(section, contact, counted)) - 1
-    count = fixed * mesh.contact_elements // counted.contact_elements
-    count += (1 + 2 * len(section.layers)) * face
-    for top, bottom in itertools.pairwise(_levels(section)):
-        count += sum(
-            _side_elements(section, at_contact, top - bottom, mesh) for at_contact in sides
-        )
-    return count
+    """Return the number of boundary elements that ``zone_meshes`` would make.
+
+    Of large meshes in proportion to a smaller one: they may be larger than any machine's memory.
+    """
+    n = min(mesh.contact_elements, _MOST_MADE)
+    line = ContactLine(np.linspace(*contact, n + 1))
+    zones = zone_meshes(section, line, replace(mesh, contact_elements=n))
+    return sum(len(zone.elements) for zone in zones) * mesh.contact_elements // n
 
 
 def _side(

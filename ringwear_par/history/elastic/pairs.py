@@ -4,7 +4,7 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair, UpdatedGeometry, assemble_pair
-from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
+from ringwear_par.elasticity.stress.recovery import BoundaryRecovery
 from ringwear_par.history.elastic.bodies import bodies
 
 
