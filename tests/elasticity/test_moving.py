@@ -14,7 +14,7 @@ from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.mesh import Mesh, case_slopes, common_slope, contact_line
 
 
-@pytest.mark.parametrize("name", ["chamfer", "sphere"])
+@pytest.mark.parametrize("name", ["chamfer", "sphere", "wear_through"])
 def test_an_update_is_a_fresh_assembly(name, comm):
     """Whatever updates came before, to the last bit."""
     case = rw.read_case(CASES / f"{name}.toml", ["mesh.contact_elements=32"])

@@ -4,7 +4,7 @@ import active_set
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.bem.pair import assemble_pair, symmetric
+from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 
@@ -80,26 +80,6 @@ def test_pressures_under_rigid_faces_are_those_of_the_collocated_equations(compl
     assert pressures[1] < 0.3 * pressures[0] < 2e-3
 
 
-@pytest.mark.parametrize("name", ["soft on stiff", "flush"])
-def test_the_symmetric_part_alone_spoils_regular_edges(compliances, name):
-    """By half of their pressure or more, and by more on finer meshes: the reason for it all."""
-    spoilt = []
-    for n in SIZES:
-        compliance = compliances[name, n]
-        m = compliance.line.area
-        weighted = m[:, None] * compliance.collocated
-        exact = flat_pressure(weighted, m)
-        plain, new = (
-            flat_pressure(a, m) for a in (0.5 * (weighted + weighted.T), compliance.matrix)
-        )
-        spoilt.append(np.abs(plain / exact - 1.0)[[0, -1]].max())
-        assert (exact > 0.0).all()
-        assert new == pytest.approx(exact, rel=2e-3)
-    assert spoilt[0] > 0.5
-    assert spoilt[1] > spoilt[0]
-    assert plain[-1] < 0.0  # the outermost element would lift off
-
-
 def test_contact_at_the_axis_alone_is_right_too(comm):
     """Rigid faces bear at the edge of discs, a sphere does not: what the diagonal is for.
 
@@ -115,12 +95,3 @@ def test_contact_at_the_axis_alone_is_right_too(comm):
     assert exact[0] > 0.0 == exact[-1]
     p, _ = active_set.solve(compliance.matrix, line.area, gap, force=2000.0)
     assert p[0] == pytest.approx(exact[0], rel=0.02)
-
-
-def test_excess_is_what_the_collocated_compliance_lacks(compliances):
-    """And nothing where that is symmetric already."""
-    compliance = compliances["flush", 16]
-    m = compliance.line.area
-    again = symmetric(compliance.line, compliance.matrix / m[:, None])
-    assert again == pytest.approx(compliance.matrix, rel=1e-9)
-    assert np.abs(m[:, None] * compliance.excess).max() > 1e-4 * np.abs(compliance.matrix).max()
