@@ -168,8 +168,7 @@ def test_reactions_of_cones_are_those_of_equilibrium(cones):
 def test_displaced_faces_meet_along_the_common_normal(degrees, comm):
     """And their tractions are p along it, and mu p around the axis, per true area."""
     case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(32))
-    t = math.tan(math.radians(degrees))
-    cos = math.cos(math.radians(degrees))
+    t, cos = math.tan(math.radians(degrees)), math.cos(math.radians(degrees))
     contact = first_contact(case, comm)
     p, touching = contact.pressure, contact.pressure > 0.0
     recovery = boundary_recovery(case, comm)
@@ -185,15 +184,6 @@ def test_displaced_faces_meet_along_the_common_normal(degrees, comm):
         assert traction[:, :2] == pytest.approx(-sign * p[:, None] * normals, rel=1e-9, abs=1e-12)
         assert np.hypot(*traction[:, :2].T) == pytest.approx(p, rel=1e-9)
         assert traction[:, 2] == pytest.approx(sign * case.friction * p, rel=1e-9)
-        # what the held face bears
-        held = body.face == FACES.index("fixed")
-        a, b = (body.nodes[body.elements[held, i], 0] for i in (0, 2))
-        area, moment = np.pi * np.abs(b**2 - a**2), 2.0 * np.pi / 3.0 * np.abs(b**3 - a**3)
-        force, torque = area @ body.traction[held, 1], moment @ body.traction[held, 2]
-        line = case.line
-        assert force == pytest.approx(sign * line.area @ p, rel=1e-4)
-        turned = case.friction * (line.area * line.arm) @ p / cos
-        assert torque == pytest.approx(-sign * turned, rel=1e-4)
     apart = ((moved[1] - moved[0]) @ normals)[touching]
     sheared = ((moved[1] - moved[0]) @ np.array([normals[1], -normals[0]]))[touching]
     assert np.abs(apart).max() < 1e-4 * contact.approach
