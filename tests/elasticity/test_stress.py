@@ -210,19 +210,16 @@ def coated_stresses(n, thickness, young, comm):
     section = Section((20.0, 40.0), 20.0, (), (thickness,))
     bodies = Body(section, 1e4, 0.3, "clamped", (Material(young, 0.3),)), PAPER[1]
     line = contact_line((28.5, 31.5), Mesh(n))
-    matrix = assemble_pair(bodies, line, Mesh(n), comm).compliance((1e4, 1e5)).matrix
-    pressure = np.linalg.solve(matrix, line.area)
+    pair = assemble_pair(bodies, line, Mesh(n), comm)
+    pressure = np.linalg.solve(pair.normal[0] / 1e4 + pair.normal[1] / 1e5, np.ones(n))
     pressure *= 50.0 * line.area.sum() / (line.area @ pressure)
-    r = np.array([28.7, 29.4, 30.0, 31.2])
     depth = np.array([0.0, 0.3, 0.8, 1.0, 1.0, 1.3, 2.0]) * thickness
-    at = np.stack(np.broadcast_arrays(r, 20.0 - depth[:, None]), axis=-1).reshape(-1, 2)
-    sides = np.repeat([0.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0], len(r))
-    none = StressPoints(np.empty((0, 2)), np.empty(0))
-    recovery = StressRecovery(
-        bodies, line, Mesh(n), (20.0, 20.0), (StressPoints(at, sides), none), 0.1, comm
-    )
+    at = np.stack(np.meshgrid([28.7, 29.4, 30.0, 31.2], 20.0 - depth), axis=-1).reshape(-1, 2)
+    sides = np.repeat([0.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0], 4)
+    points = StressPoints(at, sides), StressPoints(np.empty((0, 2)), np.empty(0))
+    recovery = StressRecovery(bodies, line, Mesh(n), (20.0, 20.0), points, 0.1, comm)
     lower, _ = recovery.stresses(pressure, 0.1)
-    return lower.points.reshape(len(depth), len(r), 6), lower.largest
+    return lower.points.reshape(len(depth), 4, 6), lower.largest
 
 
 @pytest.mark.parametrize("thickness", [0.005, 0.5])
