@@ -167,6 +167,11 @@ class ContactPair:
         a, b = self.line.edges[[0, -1]]
         return f"<ContactPair: {self.line.n} contact elements, r = {a:g} to {b:g} mm>"
 
+    @property
+    def obliquity(self) -> FloatArray:
+        """(n,), 1 / cos alpha: true area, on which friction and wear act, over projected area."""
+        return obliquity(self.slope)
+
     def compliance(self, young: tuple[float, float]) -> ContactCompliance:
         """Return the compliance with Young's moduli (MPa) of lower and upper. Not collective.
 
