@@ -16,7 +16,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, RingLayer, Stepping
 from ringwear_par.elasticity.bem.body import compliance, solve_zones
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
@@ -80,7 +80,7 @@ def _pressed_sides(
     section: Section, pressures: tuple[float, float], mesh: Mesh, comm: MPI.Comm
 ) -> FloatArray:
     """Return u_r of the bore between two smooth planes, under pressures inside and outside."""
-    boundary = boundary_mesh(section, contact_line(section.r, mesh), mesh)
+    boundary = zone_meshes(section, contact_line(section.r, mesh), mesh)[0]
     k = len(boundary.elements)
     fixed, load, traction = np.zeros((k, 3), dtype=bool), np.full((k, 3), -1), np.zeros((k, 3))
     fixed[np.concatenate([boundary.fixed, boundary.contact]), 1] = True

@@ -14,7 +14,7 @@ from ringwear_par.elasticity.bem.body import (
     in_case_frame,
     solve_zones,
 )
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.bem.systems import Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
@@ -33,7 +33,7 @@ def condensed(section, mesh, comm, grip="clamped"):
 
 def test_a_node_on_another_element_is_an_error_on_all_ranks(comm):
     """Not integrals over parts that are too long, whose error nobody would see."""
-    boundary = boundary_mesh(UPPER, contact_line(CONTACT, Mesh(16), UPPER), Mesh(16))
+    boundary = zone_meshes(UPPER, contact_line(CONTACT, Mesh(16), UPPER), Mesh(16))[0]
     conditions, nodes = boundary_conditions(boundary, "clamped"), boundary.nodes.copy()
     start, middle, _ = boundary.elements[boundary.outer_side[3]]
     nodes[boundary.elements[boundary.contact[0], 1]] = 0.3 * nodes[start] + 0.7 * nodes[middle]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.elasticity.bem.boundary import boundary_mesh, count_elements, zone_meshes
+from ringwear_par.elasticity.bem.boundary import count_elements, zone_meshes
 from ringwear_par.elasticity.mesh import Mesh, contact_line, graded
 from ringwear_par.elasticity.sections import Body, Material, Section, corners
 
@@ -165,7 +165,7 @@ def test_the_fixed_face_is_fine_under_thin_bodies_only():
     contact, mesh = (10.0, 20.0), Mesh(64)
     for height, more in ((0.1, True), (1.5, True), (20.0, False)):
         section = Section((0.0, 30.0), height)
-        body = boundary_mesh(section, contact_line(contact, mesh), mesh)
+        body = zone_meshes(section, contact_line(contact, mesh), mesh)[0]
         r = body.nodes[body.elements[body.fixed], 0]
         middle, length = r[:, 1], np.abs(r[:, 2] - r[:, 0])
         assert (len(middle) > 32) == more

@@ -6,7 +6,7 @@ import pytest
 import ringwear_par as rw
 from ringwear_par.elasticity._rings import integrate_rows
 from ringwear_par.elasticity.bem.body import BoundaryResponse
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.mesh import Mesh, contact_line
@@ -49,7 +49,7 @@ def linear_fields(r, z):
 
 def exact_zone(section, n=16):
     line = contact_line(section.r, Mesh(n))
-    boundary = boundary_mesh(section, line, Mesh(n))
+    boundary = zone_meshes(section, line, Mesh(n))[0]
     ends = boundary.nodes[boundary.elements]
     along = ends[:, 2] - ends[:, 0]
     normal = np.stack([along[:, 1], -along[:, 0]], 1) / np.hypot(*along.T)[:, None]
@@ -122,7 +122,7 @@ def test_points_outside_have_no_stress():
 
 def test_powers_between_mid_points():
     """Stresses at edges are powers of the distance: the interpolation has to follow them."""
-    boundary = boundary_mesh(RING, contact_line((28.5, 31.5), Mesh(64)), Mesh(64))
+    boundary = zone_meshes(RING, contact_line((28.5, 31.5), Mesh(64)), Mesh(64))[0]
     found = faces(boundary)
     values = np.abs(boundary.nodes[boundary.elements[:, 1], 0] - 28.5) ** -0.45
     for e in boundary.contact[2:30]:
@@ -142,7 +142,7 @@ def test_measures():
 
 
 def test_the_search_leaves_edges_out_and_finds_between_its_points():
-    boundary = boundary_mesh(RING, contact_line((28.5, 31.5), Mesh(32)), Mesh(32))
+    boundary = zone_meshes(RING, contact_line((28.5, 31.5), Mesh(32)), Mesh(32))[0]
     around = edges([boundary])
     assert sorted(map(tuple, around.round(9))) == [(28.5, 0), (31.5, 0)]
     search = Search([boundary], around, 0.1)

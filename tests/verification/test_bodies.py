@@ -10,7 +10,7 @@ from reference_cases import NU
 
 from ringwear_par.elasticity._rings import kernels
 from ringwear_par.elasticity.bem.body import boundary_conditions, compliance, solve_zones
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
@@ -49,7 +49,7 @@ def test_bar_with_free_sides(comm):
 def test_lame(comm):
     """u_r on the bore of a ring between two smooth planes under both pressures."""
     mesh, inner, outer = Mesh(64), 3.0, 1.0
-    boundary = boundary_mesh(Section(RADII, HEIGHT), contact_line(RADII, mesh), mesh)
+    boundary = zone_meshes(Section(RADII, HEIGHT), contact_line(RADII, mesh), mesh)[0]
     k = len(boundary.elements)
     fixed = np.zeros((k, 3), dtype=bool)
     fixed[np.concatenate([boundary.fixed, boundary.contact]), 1] = True
@@ -75,7 +75,7 @@ def test_torsion(degrees, comm):
 
     def errors(n):
         line = contact_line(RADII, Mesh(n))
-        boundary = boundary_mesh(Section(RADII, HEIGHT, face), line, Mesh(n))
+        boundary = zone_meshes(Section(RADII, HEIGHT, face), line, Mesh(n))[0]
         conditions = boundary_conditions(boundary, "clamped", np.full(n, math.tan(alpha)))
         middle = boundary.elements[boundary.contact, 1]
         (response,), _ = solve_zones([Zone(boundary, conditions, Material(1.0, NU))], 1e-8, comm)

@@ -13,7 +13,7 @@ from reference_cases import CONTACT, FORCE, NU, SORTS, SPEED, Rings, paper_case,
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_zones
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.bem.systems import Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Material
@@ -137,7 +137,7 @@ def test_cones_are_those_of_finite_elements(degrees, comm):
 
 def bathed(body, case, slope, comm):
     """Return the deflection of a contact face, mm at E = 1, under 1 MPa on the sides of a body."""
-    boundary = boundary_mesh(body.section, case.line, case.mesh)
+    boundary = zone_meshes(body.section, case.line, case.mesh)[0]
     loaded = boundary_conditions(boundary, body.grip, slope)
     load, traction = np.full_like(loaded.load, -1), np.zeros_like(loaded.traction)
     for side, value in ((boundary.inner_side, 1.0), (boundary.outer_side, -1.0)):

@@ -201,14 +201,6 @@ def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: Flo
     contact[:, 1] -= worn[::-1]
 
 
-def boundary_mesh(
-    section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
-) -> BoundaryMesh:
-    """Return the boundary elements of a section without layers, see ``zone_meshes``."""
-    (only,) = zone_meshes(section, line, mesh, worn)
-    return only
-
-
 def zone_meshes(
     section: Section,
     line: ContactLine,

@@ -136,11 +136,6 @@ class StressHistory:
         lower, upper = (len(body.z) + 1 if len(body.z) else 0 for body in self.interfaces)
         return lower, upper
 
-    @property
-    def none(self) -> "StressHistory":
-        """The same places without any state."""
-        return replace(self, states=())
-
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards
 COMPONENTS = ("rr", "tt", "zz", "rz", "rt", "tz")
