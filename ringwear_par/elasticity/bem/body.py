@@ -126,7 +126,8 @@ def solve_zones(
     with together(comm):
         systems = assemble(zones, dofs, quadrature(tolerance), ranks)
     assembled = time.perf_counter()
-    normal, torsion = (solve(system, ranks) for system in systems)
+    with together(comm):
+        normal, torsion = (solve(system, ranks) for system in systems)
     responses, n_loads = [], normal.shape[1]
     for zone, numbers in zip(zones, dofs, strict=True):
         load, given = zone.conditions.load, zone.conditions.traction
