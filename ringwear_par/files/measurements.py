@@ -275,9 +275,13 @@ def and_more(count: int, noun: str) -> str:
 
 
 def read_measurements(
-    path: Path, *, labelled: bool = False, skip: int | None = None
+    path: Path, *, labelled: bool = False, skip: int | None = None, growing: bool = False
 ) -> Measurements:
     """Read a table from a file, see ``measurements_in``. Not collective.
+
+    Parameters
+    ----------
+    growing : whether the file is still written to: a last line that has no end is left out.
 
     Raises
     ------
@@ -288,6 +292,8 @@ def read_measurements(
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
+    if growing and not content.startswith(table_text.UTF_16):
+        content = content[: content.rfind(b"\n") + 1] or content
     return measurements_in(content, str(path), labelled=labelled, skip=skip)
 
 

@@ -56,9 +56,8 @@ class ExperimentReader:
         tables: Sequence[tuple[str, Any]],
         parameters: tuple[FittedParameter, ...],
         faults: list[str],
-        test: str = "",
     ) -> tuple[Experiment, ...]:
-        """Return all experiments, or one test, and add what is wrong with them to the faults.
+        """Return all experiments, and add what is wrong with them to the faults.
 
         Parameters
         ----------
@@ -66,8 +65,6 @@ class ExperimentReader:
         """
         experiments: list[Experiment] = []
         for place, table in tables:
-            if test and isinstance(table, Mapping) and table.get("name", test) != test:
-                continue
             experiment = self._experiment(place, table, parameters, faults)
             if experiment is not None:
                 experiments.append(experiment)
