@@ -18,9 +18,9 @@ from mpi4py import MPI
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
-from ringwear_par.identification.definition.averaging import averaged
 from ringwear_par.identification.definition.fit_file import experiment_names, read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
+from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError

@@ -16,8 +16,8 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals.cases import check_case
+from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
-from ringwear_par.identification.definition.parameter_rules import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,

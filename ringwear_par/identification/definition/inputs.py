@@ -9,11 +9,11 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
+from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.data_sources import read_readings
-from ringwear_par.identification.definition.parameter_rules import LOADS
 from ringwear_par.identification.definition.problem import MeasuredInput
 from ringwear_par.identification.definition.schema import (
     FEWEST_READINGS,

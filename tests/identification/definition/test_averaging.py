@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.definition.series import BLOCKS, averaged
 
 
 def test_long_records_are_averaged():
