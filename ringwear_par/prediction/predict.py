@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
+from ringwear_par.cases.case import Case, Output, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, ValidityWarning, legible
@@ -83,7 +83,28 @@ def predict(
     ComputationError : the histories.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    return _predicted(fit, case, (), of, draws, seed, comm)
+
+    def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
+        for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
+            if isinstance(number, bool) or not isinstance(number, int) or number < least:
+                raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
+        known, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
+        whole = case if isinstance(case, Case) else read_case(case)
+        refuse_stop(whole, name, "in a prediction")
+        check_predicted(known, whole, name, of)
+        unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
+        return whole, known, known.values(unknowns), sizes
+
+    whole, known, values, sizes = on_first_rank(comm, drawn)
+    results = _histories(whole, known.keys, values, sizes, seed, comm)
+    left = [*results]
+    return Prediction(
+        of, str(fit) if isinstance(fit, Path | str) else "fit", whole.stored_text, seed,
+        dict(zip(known.keys, known.units, strict=True)), values[left], sizes[left],
+        doubts_of(known, whole, of), results[left[0]].histories["time"],
+        {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
+        failed=draws - len(left),
+    )  # fmt: skip
 
 
 def run_predict(
@@ -105,55 +126,21 @@ def run_predict(
     depth : of penetration with its unit, whose time is printed.
     """
 
-    def begin() -> float | None:
+    def begin() -> tuple[Case, float | None]:
         faults: list[str] = []
         mm = None if depth is None else read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
         check_folder(folder, FILES, "predict")
         announce_replacement(folder / PREDICTION)
-        return mm
+        return read_case(case, overrides), mm
 
-    mm = on_first_rank(comm, begin)
-    result = replace(_predicted(fit, case, overrides, of, draws, seed, comm), depth=mm)
+    whole, mm = on_first_rank(comm, begin)
+    result = replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=mm)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
         print(closing_line(folder, FILES))
-
-
-def _predicted(
-    fit: "FitResult | Path | str",
-    source: Case | Path | str | Mapping[str, Any],
-    overrides: Overrides,
-    of: str,
-    count: int,
-    seed: int,
-    comm: MPI.Intracomm,
-) -> Prediction:
-    """Return the prediction of a case. Collective on comm."""
-
-    def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
-        for name, number, least in (("draws", count, 1), ("seed", seed, 0)):
-            if isinstance(number, bool) or not isinstance(number, int) or number < least:
-                raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
-        draws, name = fit_draws(fit), str(source) if isinstance(source, Path | str) else "case"
-        case = source if isinstance(source, Case) else read_case(source, overrides)
-        refuse_stop(case, name, "in a prediction")
-        check_predicted(draws, case, name, of)
-        unknowns, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
-        return case, draws, draws.values(unknowns), sizes
-
-    case, draws, values, sizes = on_first_rank(comm, drawn)
-    results = _histories(case, draws.keys, values, sizes, seed, comm)
-    left = [*results]
-    return Prediction(
-        of, str(fit) if isinstance(fit, Path | str) else "fit", case.stored_text, seed,
-        dict(zip(draws.keys, draws.units, strict=True)), values[left], sizes[left],
-        doubts_of(draws, case, of), results[left[0]].histories["time"],
-        {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
-        failed=count - len(left),
-    )  # fmt: skip
 
 
 def fit_draws(fit: "FitResult | Path | str") -> Draws:

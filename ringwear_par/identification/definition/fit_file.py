@@ -1,7 +1,8 @@
 """Fit files: a base case, the keys to fit, and experiments with their measurements."""
 
 import logging
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,8 @@ log = logging.getLogger(__name__)
 #: keys of the search for an optimum, which files of laboratories still have
 _GONE = ("starts", "method")
 _TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
+#: beginning of the faults of a test
+_TEST = re.compile(r'.*?: (?:line \d+: )?experiment "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
 
@@ -78,7 +81,7 @@ def read_fit(
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
-        raise InputError(*faults)
+        raise InputError(*_said_once(faults))
     whose = f"{name}: without {legible(running)}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
@@ -86,7 +89,7 @@ def read_fit(
     for check in (_check_counts, check_scatter, check_censored, check_process):
         check(problem, faults)
     if faults:  # many of which are those of the other laws too
-        raise InputError(*faults)
+        raise InputError(*_said_once(faults))
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         changed = reader.changed(law, experiments, changes, law_parameters, faults)
@@ -97,7 +100,7 @@ def read_fit(
             for check in (_check_counts, check_scatter, check_process):
                 check(alternatives[law], faults)
     if faults:
-        raise InputError(*faults)
+        raise InputError(*_said_once(faults))
     return replace(problem, alternatives=alternatives)
 
 
@@ -144,6 +147,18 @@ def _experiment_tables(
         return tables
     tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
     return [*tables, *tests.items()]
+
+
+def _said_once(faults: Sequence[str]) -> list[str]:
+    """Return the faults; one that several tests have is said of the first one only."""
+    tests: dict[str, list[str]] = {}
+    for fault in faults:
+        test = _TEST.match(fault)
+        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
+    return [
+        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
+        for first, *repeats in tests.values()
+    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:

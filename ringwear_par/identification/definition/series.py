@@ -43,6 +43,8 @@ _RECORD, _SHORT_RECORD = 3, 0.1
 _ROUNDED = 2e-4
 #: a time constant is fitted within so many sd of its prior about the prior's mean
 _PRIOR_REACH = 4.0
+#: units of densities, in g/mm3
+_OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 #: blocks of equal time of a test, in which the readings of a long record are averaged
 BLOCKS = 500
 
@@ -246,7 +248,11 @@ def _density_rule(density: float) -> str:
     low, high = DENSITIES
     if low <= density <= high:
         return ""
-    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals"
+    hints = [
+        f"; {density:g} {unit} would be {density * share:.6g}"
+        for unit, share in _OTHER_UNITS.items() if low <= density * share <= high
+    ]  # fmt: skip
+    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{''.join(hints[:1])}"
 
 
 def refuse_readings(
