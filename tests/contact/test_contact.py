@@ -1,12 +1,21 @@
 """Contacts by TAO and in blocks: against closed forms, a dense active set, and each other."""
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import active_set
 import numpy as np
 import pytest
-from parts import BlockSolver, Line, Material, Mesh, PowerLaw, TaoContact, ThresholdLaw
+from parts import (
+    BlockSolver,
+    Line,
+    Material,
+    Mesh,
+    PowerLaw,
+    TaoContact,
+    ThresholdLaw,
+    simulate_one,
+)
 from petsc4py import PETSc
 from reference_cases import paper_case
 from tracing import ALONE, trace
@@ -120,43 +129,41 @@ def test_a_dense_active_set_finds_the_same(paper, name):
         assert area @ found.pressure[i] == pytest.approx(load[i], rel=1e-8)
 
 
-def spring(stiffness):
-    """Return the compliance of elements that give way by their own pressures alone."""
-    n = 12
-    units = np.stack([np.eye(n) / stiffness, np.zeros((n, n))])[None]
-    line = Line((None,), np.linspace(1.0, 2.0, n), np.linspace(0.5, 1.5, n), None, units, units)
-    return Compliance.of(line, np.zeros(1, int), np.ones((1, 2)))
+@dataclass
+class Bed:
+    """What solvers need to know of a block."""
+
+    compliance: Compliance
+    by_force: bool
+
+
+def spring(stiffness, count=1, matrix=None):
+    """Return the compliance of elements that give way by their own pressures, or by a matrix."""
+    matrix = np.eye(12) / stiffness if matrix is None else matrix
+    n, units = len(matrix), np.stack([matrix, 0.0 * matrix])[None]
+    columns = np.ascontiguousarray(units.swapaxes(2, 3))
+    line = Line((None,), np.linspace(1.0, 2.0, n), np.linspace(0.5, 1.5, n), None, units, columns)
+    return Compliance.of(line, np.zeros(count, int), np.ones((count, 2)))
 
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_springs_have_a_closed_form(name):
-    """p = (d - gap) / c where positive, c the compliance and the wear of the step per MPa."""
+    """P = (d - gap) / c where positive, c the compliance and the wear of the step per MPa."""
     bed = spring(2e3)
     x, area = np.linspace(0.0, 1.0, 12), bed.line.area
     gap = 0.01 * x[None] ** 2
-    block = replace_of(bed)
+    force, approach = Bed(bed, True), Bed(bed, False)
     exact = np.maximum(0.005 - gap, 0.0) * 2e3
-    found = SOLVERS[name](block(False), gap, np.array([0.005]), None)
+    found = SOLVERS[name](approach, gap, np.array([0.005]), None)
     assert found.pressure == pytest.approx(exact, rel=1e-8, abs=1e-9)
-    force = exact @ area
-    found = SOLVERS[name](block(True), gap, force, None)
+    found = SOLVERS[name](force, gap, exact @ area, None)
     assert found.approach == pytest.approx(0.005, rel=1e-7)
     assert found.pressure == pytest.approx(exact, rel=1e-6, abs=1e-9)
-    lifted = SOLVERS[name](block(True), gap + 0.1, np.zeros(1), None)
+    lifted = SOLVERS[name](force, gap + 0.1, np.zeros(1), None)
     assert not lifted.pressure.any()
     assert lifted.approach == pytest.approx(0.1)  # the bodies just touch
-    apart = SOLVERS[name](block(False), gap + 0.1, np.array([0.05]), None)
+    apart = SOLVERS[name](approach, gap + 0.1, np.array([0.05]), None)
     assert not apart.pressure.any()
-
-
-def replace_of(compliance):
-    """Return what solvers need to know of a block, by its control."""
-
-    class Bed:
-        def __init__(self, by_force):
-            self.compliance, self.by_force = compliance, by_force
-
-    return Bed
 
 
 UPPER = Body(Section((28.5, 31.5), 20.0), 1e5, 0.3, "clamped")
@@ -195,7 +202,7 @@ def test_hard_pairs(paper, name):
     count, n, rng = 12, 48, np.random.default_rng(20261128)
     line = Line.of([pair])
     moduli = np.tile([1.0 / lower.young, 1.0 / upper.young], (count, 1))
-    block = replace_of(Compliance.of(line, np.zeros(count, int), moduli))(True)
+    block = Bed(Compliance.of(line, np.zeros(count, int), moduli), True)
     x = (line.r - line.r.mean()) / (0.5 * np.ptp(line.r))
     scale, size = 50.0 * block.compliance.matrix(0).sum(axis=1).mean(), (count, 1)
     gap = rng.uniform(0.0, 2.0, size) * scale * (x - rng.uniform(-1.0, 1.0, size)) ** 2
@@ -209,15 +216,18 @@ def test_hard_pairs(paper, name):
     assert np.all(np.abs(found.pressure @ line.area / load - 1.0) < 1e-8)
 
 
-def test_histories_of_a_block_leave_each_other_alone(paper):
-    """NaN of one of them, and two pairs of bodies; moduli of their own have been above."""
-    block, (gap, load, step) = drawn(paper, 8, 3)
+@pytest.mark.parametrize("by_force", [True, False])
+def test_one_that_is_no_number_fails_and_leaves_the_bits_of_the_others(paper, by_force):
+    block, (gap, load, step) = drawn(paper, 8, 3, None, by_force)
     found = in_blocks(block, gap, load, step, relative=1e-4)
     broken = gap.copy()
     broken[3, 5] = np.nan
     again, others = in_blocks(block, broken, load, step, relative=1e-4), np.arange(8) != 3
     assert again.failed.tolist() == [False] * 3 + [True] + [False] * 4
     assert np.array_equal(again.pressure[others], found.pressure[others])
+
+
+def test_two_pairs_of_bodies_in_a_block(paper):
     case, pair = paper
     steel = replace(case, lower=replace(case.lower, poisson=0.45))
     two = [pair, assemble(steel, ALONE)]
@@ -237,8 +247,6 @@ def test_histories_of_a_block_leave_each_other_alone(paper):
 
 def test_the_solver_of_one_history_is_an_option(paper):
     """Its states are those by TAO to the residuals that it allows, in other iterations."""
-    from parts import simulate_one
-
     case, options, found = replace(paper[0], time=replace(paper[0].time, steps=5)), {}, {}
     options = PETSc.Options("contact_")
     for solver in ("tao", "block"):
@@ -256,26 +264,22 @@ def test_the_solver_of_one_history_is_an_option(paper):
     assert trace(case, paper[1], tao=True).last.approach == one.approach[0]
 
 
-def test_the_loops_in_c_are_vectorised(paper):
-    """80 products of each history, against as many by NumPy: a plain loop takes 4 times longer."""
-    block, _ = drawn((paper_case(Mesh(64)), assemble(paper_case(Mesh(64)), ALONE)), 50, 4)
-    compliance, n = Compliance.of(
-        block.line, block.compliance.pair, np.ones_like(block.compliance.softness)
-    ), 64
-    matrix, inverse = compliance.matrix(0), 1.0 / compliance.diagonal
-    rng = np.random.default_rng(0)
-    gap, x, none = rng.normal(size=(50, n)), np.empty((50, n)), np.zeros((50, n))
+def test_the_loops_in_c_are_vectorised():
+    """80 iterations of each history take 1.8 times as long as 80 products by NumPy, or 6 times."""
+    n, count, rng = 64, 50, np.random.default_rng(0)
+    modes = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    matrix = modes * 10.0 ** np.linspace(0.0, 8.0, n) @ modes.T  # no iteration ends early
+    bed = spring(1.0, count, matrix)
+    inverse, gap, none = 1.0 / bed.diagonal, rng.normal(size=(count, n)), np.zeros((count, n))
+    x, vectors = np.empty((count, n)), rng.normal(size=(n, 80))
 
     def seconds(work):
         best = np.inf
-        for _ in range(7):
+        for _ in range(9):
             before = time.process_time()
             work()
             best = min(best, time.process_time() - before)
         return best
 
-    in_c = seconds(lambda: _rows.respond(compliance, True, inverse, none, 0.0, gap.copy(), x))
-    vectors = rng.normal(size=(n, 80))
-    in_numpy = seconds(lambda: [matrix @ vectors for _ in range(50)])
-    print(in_c, in_numpy)
-    assert in_c < 10.0 * in_numpy
+    in_c = seconds(lambda: _rows.respond(bed, False, inverse, none, 0.0, gap.copy(), x))
+    assert in_c < 3.5 * seconds(lambda: [matrix @ vectors for _ in range(count)])
