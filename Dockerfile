@@ -10,9 +10,8 @@ COPY LICENSE pyproject.toml setup.py /src/
 COPY docs/package.md /src/docs/
 COPY ringwear_par /src/ringwear_par
 RUN /opt/ringwear/bin/pip install --no-cache-dir "/src[pages,surrogate,xlsx]" "numpy<2" && rm -rf /src
-ENV PATH=/opt/ringwear/bin:$PATH NUMBA_CACHE_DIR=/opt/ringwear/compiled OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
-# compiled once, here; numba takes what is kept only from folders that its user may write to
-RUN ringwear verify > /dev/null && chmod -R a+rX /opt/ringwear/compiled && chmod a+w /opt/ringwear/compiled/*/
+ENV PATH=/opt/ringwear/bin:$PATH OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+RUN ringwear verify > /dev/null
 RUN useradd --create-home tribologist
 USER tribologist
 WORKDIR /data

@@ -13,7 +13,7 @@ Units: mm, N, MPa, s, rad; energies N mm.
     data = result.to_xarray()
 
 The names below are loaded when they are first used; neither the import nor reading a case, opening
-a result or drawing it starts MPI, PETSc or compiled code.
+a result or drawing it starts MPI and PETSc.
 """
 
 import re

@@ -45,7 +45,7 @@ def _print_installation(comm: "MPI.Comm") -> None:
     rows["petsc scalar"] = f"{PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}"
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
     rows["ranks"] = f"{comm.size} (launcher says: {launched}), cores: {os.cpu_count()}"
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         rows[name] = os.environ.get(name, "not set")
     for name, value in rows.items():
         print(f"  {name}: {value}")

@@ -143,10 +143,6 @@ class Stepping:
         """Time at the end, s."""
         return self.until if self.adaptive else self.step * self.steps
 
-    def finished(self, step: int, time: float) -> bool:
-        """Tell whether so many steps, to a time (s), are all of them."""
-        return time >= self.until if self.adaptive else step >= self.steps
-
 
 @dataclass(frozen=True)
 class Output:

@@ -213,9 +213,8 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "time.tolerance", *number(0.0), "mm",
-        "largest estimated error that adaptive steps make in the wear depth of both bodies "
-        "together, over the whole history, with layers half of it; without the errors of the mesh "
-        "and of elements that come into contact", 1e-5,
+        "largest error that adaptive steps are to make in the wear depth of both bodies together, "
+        "over the whole history; without the errors of the mesh", 1e-5,
     ),
     *(
         Key(
@@ -254,7 +253,8 @@ KEYS: tuple[Key, ...] = (
     Key("output.every", *whole(1), "steps", "store every so many steps, and the last one", 1),
     Key(
         "output.times", *times(), "s",
-        "times at which steps are stored, besides the start and the end; instead of output.every",
+        "times at which steps end and are stored, besides the start and the end; instead of "
+        "output.every",
         None,
     ),
     Key("output.fields", *some_of(*FIELDS), "-", "fields stored along the contact line", FIELDS),

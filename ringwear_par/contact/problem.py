@@ -39,10 +39,8 @@ class Line:
     area: FloatArray
     #: (n,) 1 / cos alpha of sloping faces, None where all are flat
     obliquity: FloatArray | None
-    #: (f, 2, n, n) mm/MPa of lower and upper at Young's modulus 1, as collocation gives them, and
-    #: their transposes
+    #: (f, 2, n, n) mm/MPa of lower and upper at Young's modulus 1, as collocation gives them
     units: FloatArray
-    columns: FloatArray
     #: the matrix that was asked for last, by pair and softness
     _matrix: dict[tuple[float, ...], FloatArray] = field(
         default_factory=dict, compare=False, repr=False
@@ -60,8 +58,12 @@ class Line:
             first.line.area.copy(),  # C code takes none that is read-only
             secant if (secant > 1.0).any() else None,
             units,
-            np.ascontiguousarray(units.swapaxes(2, 3)),
         )
+
+    @cached_property
+    def columns(self) -> FloatArray:
+        """(f, 2, n, n) mm/MPa, the transposes of ``units``, as loops in C run through them."""
+        return np.ascontiguousarray(self.units.swapaxes(2, 3))
 
     @cached_property
     def true_area(self) -> FloatArray:

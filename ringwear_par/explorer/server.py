@@ -82,7 +82,7 @@ def explore(
                 opening = threading.Thread(target=webbrowser.open, args=(server.address,))
                 opening.daemon = True
                 opening.start()
-            # MPI, PETSc and compiled code are used by this thread alone; Ctrl-C is how it ends
+            # MPI and PETSc are used by this thread alone; Ctrl-C is how it ends
             while not signals.received:  # which may only have made a history fail
                 with suppress(Empty):  # not for ever: a signal just before does not end the wait
                     desk.get(timeout=_NAP)()

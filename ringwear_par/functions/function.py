@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 _RARELY = 10**9
 #: variables without derivatives: counts, and where histories are at
 _NOT_SMOOTH = ("time", "contact_iterations")
-#: difference of an input over itself, or over 1 of its unit where it is 0; of moduli, since
-#: compliances of near moduli follow one reference, and those of others another one
-_STEP, _STEP_OF_MODULI = 1e-5, 1e-3
+#: difference of an input over itself, or over 1 of its unit where it is 0
+_STEP = 1e-5
 
 
 class Output(NamedTuple):
@@ -219,10 +218,7 @@ class Function:
 
     def _steps(self, points: FloatArray) -> FloatArray:
         """Return the differences (cases, inputs) by which inputs are moved, within their bounds."""
-        is_modulus = [name.endswith("young") for name in self._inputs.names]
-        steps = np.where(is_modulus, _STEP_OF_MODULI, _STEP) * np.where(
-            points == 0.0, 1.0, np.abs(points)
-        )
+        steps = _STEP * np.where(points == 0.0, 1.0, np.abs(points))
         ends = [entry["bounds"][1] for entry in self._inputs.schema().values()]
         most = np.array([np.inf if end is None else end for end in ends])
         return np.where(points + steps > most, -steps, steps)
@@ -253,8 +249,9 @@ class Function:
     def _step_ends(self, cases: list[Any], comm: "MPI.Comm | None", width: int) -> list[Any] | None:
         """Return the ends of the steps that the first of each ``width`` cases makes, s, for all.
 
-        What error control would change between them is no derivative. None of fixed steps; cases
-        whose first one fails are replaced by why. Collective on comm.
+        What error control would change between them is no derivative. At times of output steps end,
+        too. None of fixed steps; cases whose first one fails are replaced by why. Collective on
+        comm.
         """
         if not any(isinstance(case, Case) and case.time.adaptive for case in cases):
             return None
@@ -263,7 +260,9 @@ class Function:
         ends: list[Any] = []
         for n, result in enumerate(self._outcomes(alone, comm)):
             if isinstance(result, Result):
-                ends += [result.histories["time"][1:].tolist()] * width
+                made, case = result.histories["time"][1:], cases[n * width]
+                asked = [t for t in case.output.times if np.abs(made - t).min() > SAME_TIME * t]
+                ends += [sorted([*made.tolist(), *asked])] * width
             else:
                 cases[n * width : (n + 1) * width] = [result] * width
                 ends += [None] * width

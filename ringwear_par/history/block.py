@@ -191,11 +191,13 @@ def _by_steps(case: Case) -> bool:
 
 def _limits(case: Case) -> list[float]:
     """Return the times at which steps of a case end."""
-    time = case.time
+    time, steps = case.time, case.breakpoints
     if not time.adaptive:
-        return (time.step * np.arange(1, time.steps + 1)).tolist()
+        steps = tuple((time.step * np.arange(1, time.steps + 1)).tolist())
+        if not case.output.times:
+            return [*steps]
     limits: list[float] = []
-    for t in sorted({*case.breakpoints, *case.output.times, time.end}):
+    for t in sorted({*steps, *case.output.times, time.end}):
         if 0.0 < t <= time.end and not (limits and t - limits[-1] <= SAME_TIME * t):
             limits.append(t)
     return [*limits[:-1], time.end]

@@ -121,7 +121,7 @@ def simulate(
     limit = (block.limits <= state.time[:, None]).sum(axis=1)
     going &= limit < block.limits.shape[1]
     limit = np.minimum(limit, block.limits.shape[1] - 1)
-    order = 3 if scheme is sdirk2 else 2
+    order = 3 if case.time.adaptive else 2
     while going.any():
         if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
             rows = np.flatnonzero(going)

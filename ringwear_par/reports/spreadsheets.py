@@ -87,7 +87,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
         strict=True,
     )
     meanings = [(name, unit, meaning) for name, (unit, meaning, _) in columns.items()]
-    histories = ("case", "state", *map(titled, HISTORIES.values()))
+    histories = ("case", "state", *(titled(v.name, v.unit) for v in HISTORIES.values()))
     return [
         ("cases", header, rows),
         ("columns", ("column", "unit", "meaning"), meanings),

@@ -17,7 +17,7 @@ from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.checks import Worst
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import Boundaries, CaseStresses, Stresses
+from ringwear_par.history.stresses import Boundaries, CaseStresses, InfiniteEdge, Stresses
 from ringwear_par.results.fields import boundary_arrays, point_columns, stress_arrays, stress_rows
 from ringwear_par.results.key_numbers import end_numbers
 from ringwear_par.results.result import (
@@ -33,6 +33,8 @@ from ringwear_par.results.rows import Rows, moment
 from ringwear_par.results.variables import LAYER_ENDS
 from ringwear_par.results.warnings import warnings_of_histories
 
+#: what a checkpoint calls the largest stress beside an edge
+_INFINITE = "infinite_stress"
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
 
@@ -89,13 +91,14 @@ class Recorder:
         """Take over the stored rows of an interrupted history, and the worst of all its states."""
         assert before.checkpoint is not None
         self.first, self._before = before.checkpoint.first, before.attributes
-        self._rows.restore(before, float(self.first.time[0]))
-        self._worst.restore(before.checkpoint.worst)
+        times, worst = self._rows.restore(before), dict(before.checkpoint.worst)
+        self._stresses.infinite[0] = InfiniteEdge(*worst.pop(_INFINITE))
+        self._worst.restore(worst)
         if self._cases[0].output.boundary != "last":
-            self._boundaries.states = [*before.boundary]
+            self._boundaries.states = [s for s in before.boundary if s.time in times]
         stress = self._cases[0].stress
         if before.stress is not None and stress is not None and stress.times != "last":
-            self._stresses.states[0] = [*before.stress.states]
+            self._stresses.states[0] = [s for s in before.stress.states if s.time in times]
 
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""
@@ -158,10 +161,9 @@ class Recorder:
         failed = [number in failures for number in range(count)]
         stops = [() if bad else self._stops.get(i, {}) for i, bad in enumerate(failed)]
         warnings = warnings_of_histories(self._cases, self._worst.measures, self._stresses, failed)
-        through, normal_work = np.full((2, count), np.inf), np.full(count, np.nan)
+        through = np.full((2, count), np.inf)
         for number, (instant, place) in self._ended.items():
             through[:, number] = instant.state.through[place]
-            normal_work[number] = instant.state.normal_work[place]
         rows, whole = self._rows.columns(), times_through(self._cases[0], through)
         # cases ask for the same stresses, or for none
         histories = [self._stresses.history(number) for number in range(count)]
@@ -186,7 +188,7 @@ class Recorder:
             stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
             whole=whole,
         )
-        numbers = end_numbers(self._cases, columns, normal_work)
+        numbers = end_numbers(self._cases, columns)
         return replace(columns, whole={**columns.whole, **numbers}), warnings
 
     # -- results -----------------------------------------------------------------------------------
@@ -243,6 +245,7 @@ class Recorder:
         data |= boundary_arrays(self._boundaries.states)
         through = times_through(case, state.through[0])
         worst = {name: values[:, number].tolist() for name, values in self._worst.measures.items()}
+        worst[_INFINITE] = [*self._stresses.infinite[number]]
         return Result(
             data,
             {

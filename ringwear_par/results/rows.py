@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.block import Block
 from ringwear_par.history.layers import layer_left, layer_volumes
@@ -77,6 +77,7 @@ VALUES: Mapping[str, Value] = {
     "torque": lambda block, state: block.friction.at(state.time) * block.moment(state.pressure),
     "twist": _twist,
     "dissipated_energy": lambda block, state: state.energy,
+    "normal_work": lambda block, state: state.normal_work,
     "pressure": lambda block, state: state.pressure,
     "gap": _gap,
     **{
@@ -103,6 +104,7 @@ class Rows:
 
     def __init__(self, cases: Sequence[Case]) -> None:
         case, count = cases[0], len(cases)
+        self._case = case
         layers = len(case.lower.layers), len(case.upper.layers)
         #: names of what is stored, by field of ``HistoryColumns``
         self._groups = {
@@ -135,9 +137,17 @@ class Rows:
             last[block.number] = VALUES[name](block, state)
         self.last_time[block.number] = state.time
 
-    def restore(self, before: Result, reached: float) -> None:
-        """Take the stored rows of an interrupted single history, up to a time (s)."""
-        rows = np.asarray(before.data["time"]) <= reached
+    def restore(self, before: Result) -> FloatArray:
+        """Take the rows of an interrupted single history that its case stores; return their times.
+
+        The last row of a history that ends later now may not be among them.
+        """
+        times, output = np.asarray(before.data["time"]), self._case.output
+        if output.times:
+            near = np.abs(times[:, None] - output.times) <= SAME_TIME * times[:, None]
+            rows = (times == 0.0) | near.any(axis=1)
+        else:
+            rows = before.steps_made % output.every == 0
         steps = before.steps_made[rows]
         noted = {
             "number": np.zeros(len(steps), np.int64),
@@ -146,9 +156,10 @@ class Rows:
         }
         for name, parts in self._rows.items():
             parts.append(noted[name] if name in noted else np.asarray(before.data[name])[rows])
-        for name, last in self._last.items():
+        for name, last in self._last.items() if rows[-1] else ():
             last[0] = before.data[name]
-        self.last_time[0] = before.data["time"][rows][-1]
+        self.last_time[0] = times[rows][-1]
+        return times[rows]
 
     def columns(self) -> dict[str, Any]:
         """Return all rows, by history: the fields of ``HistoryColumns`` that these are."""

@@ -202,7 +202,7 @@ def _difference(before: Result, case: Case) -> str:
 def _is_at_end(case: Case, before: Result) -> bool:
     """Tell whether a stored history has come to the end of a case, or to one of its limits."""
     first = restored(before)
-    if case.time.finished(int(first.steps[0]), float(first.time[0])):
+    if first.time[0] >= case.time.end:
         return True
     assert before.checkpoint is not None
     last = before.checkpoint.last
@@ -326,11 +326,10 @@ def _compute(run: Run, path: Path) -> None:
         with together(run.comm):
             if last is not None and not recorder.finished:
                 steps, reached = int(last.state.steps[0]), float(last.state.time[0])
-                how_far = f"(at {reached:g} of {case.time.end:g} s)"
                 raise ComputationError(
-                    f"stopped by {name_of(run.agreed)} after step {steps} "
-                    f"{how_far if case.time.adaptive else f'of {case.time.steps}'}; {output} holds "
-                    "them, and the same command with --restart continues"
+                    f"stopped by {name_of(run.agreed)} after step {steps} (at {reached:g} of "
+                    f"{case.time.end:g} s); {output} holds the steps so far, and the same command "
+                    "with --restart continues"
                 )
 
 

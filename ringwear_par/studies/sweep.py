@@ -304,7 +304,7 @@ def _summary(work: _Work, computed: int, seconds: float) -> Summary:
     if computed:
         rate = f"{computed / seconds:.3g} a second"
         lines.append(f"{computed} computed in {duration(seconds)}, {rate}; ranks: {work.comm.size}")
-    lines.append(f"largest error of balances (force, volume, energy, KKT): {worst:.1e}")
+    lines.append(f"largest error of balances (force, energy, contact): {worst:.1e}")
     words, counts = np.unique(flags[flags != b""], return_counts=True)
     if len(words):
         flagged = zip((split_flags(word.decode()) for word in words), counts.tolist(), strict=True)

@@ -9,7 +9,7 @@ nothing wears: a threshold is a line through zero, which callers clip. Parameter
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -202,7 +202,7 @@ class Kind:
     #: parameters of which one must be given; with the first the rate depends on worn depth
     one_of: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """The parameters by name."""
         return {parameter.name: parameter for parameter in self.declared}
@@ -345,7 +345,7 @@ class Law:
         """What is wrong with a user's code, by number of the history that called it last."""
         return {} if self.code is None else self.code.faults
 
-    @property
+    @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """The numbers, tables and profiles that the rate depends on smoothly, by name."""
         return {
@@ -354,14 +354,14 @@ class Law:
             if isinstance(q, float | int | Table) and name != "length"
         }
 
-    @property
+    @cached_property
     def arguments(self) -> dict[str, Quantity | FloatArray]:
         """What the function takes besides pressure and state."""
         if self.kind.function is table:
             return dict(zip("xy", np.array(self.values["table"], dtype=float).T, strict=True))
         return {name.removeprefix("parameters."): q for name, q in self.quantities.items()}
 
-    @property
+    @cached_property
     def key(self) -> Hashable:
         """Equal for laws whose arguments may be stacked, for one function of many histories."""
         source = self.code and (self.code.source if self.code.is_file else id(self.code.source))
@@ -450,7 +450,7 @@ class LayeredLaw:
         """Averaging length, mm, of the laws; such laws are not for layers."""
         return max(law.length for law in self.laws)
 
-    @property
+    @cached_property
     def key(self) -> Hashable:
         """Equal for laws that can be in one block, see ``Law.key``."""
         return tuple(law.key for law in self.laws)

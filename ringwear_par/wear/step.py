@@ -163,8 +163,12 @@ class StepWear:
             slopes.append(slope)
         if len(consts) == 1:  # without a copy
             return consts[0][None], slopes[0][None]
-        shape = -1, self._wear.shape[1] if rows is None else len(rows), self._wear.shape[2]
-        return np.array(consts).reshape(shape), np.array(slopes).reshape(shape)
+        shape = self._wear.shape[1:] if rows is None else (len(rows), self._wear.shape[2])
+        const, slope = (
+            np.array([np.broadcast_to(v, shape) for v in of_bodies]).reshape(-1, *shape)
+            for of_bodies in (consts, slopes)
+        )
+        return const, slope
 
     def _settled(
         self, i: int, body: Wearing, p: FloatArray, rows: IntArray | None, step: FloatArray
@@ -184,7 +188,7 @@ class StepWear:
         near[slice(None) if rows is None else rows] = np.nan_to_num(np.where(lost, 0.0, depth))
         below = rate <= 0.0  # there the line goes on below zero
         depth = np.where(below, step * rate, np.where(lost, np.nan, depth))
-        return depth, step * np.where(below, rise, rise / growth)
+        return depth, step * np.where(below, rise, np.where(lost, np.nan, rise / growth))
 
     def _rate(
         self,

@@ -27,14 +27,14 @@ def derivatives(case, inputs, outputs, **more):
 
 @pytest.mark.parametrize(("name", "p0"), [("paper.toml", 15.0), ("crown.toml", 0.0)])
 def test_wear_depends_on_a_product_of_k_friction_and_speed(name, p0):
-    """Steps are those of the adaptive history: differences of these alone would be of its noise."""
+    """Steps are those of an adaptive history: differences of two would be of their noise."""
     law = {"law": "threshold", "k": 1e-7, "p0": p0}
     changes = {"wear.lower": law, "wear.upper": None, "output.times": [6.0, 12.0]}
     case = rw.read_case(CASES / name, {**ADAPTIVE, **changes})
     outputs = ["worn_volume_lower", "penetration@12", "approach@all"]
     x, values, slopes = derivatives(case, RATES, outputs)
     assert values["worn_volume_lower"] == pytest.approx(
-        rw.simulate(case).histories["worn_volume_lower"][-1], rel=1e-9
+        rw.simulate(case).histories["worn_volume_lower"][-1], rel=1e-4
     )
     for output in outputs:
         of_k, *others = (x[key] * slopes[output, key] for key in RATES)
@@ -55,7 +55,7 @@ def test_elastic_approach_goes_with_one_over_both_moduli():
     inputs = ["lower.young", "upper.young"]
     x, values, slopes = derivatives(rw.read_case(PAPER, ADAPTIVE), inputs, ["approach@0"])
     total = sum(x[key] * slopes["approach@0", key] for key in inputs)
-    assert total == pytest.approx(-values["approach@0"], rel=3e-3)
+    assert total == pytest.approx(-values["approach@0"], rel=1e-4)
 
 
 def test_a_thicker_coating_costs_so_much_time():

@@ -29,9 +29,11 @@ def test_numbers_are_those_of_histories(case):
     history = rw.simulate(base.replace(change)).histories
     alone = f(change)
     assert isinstance(alone["penetration"], float)
-    assert alone["penetration"] == history["penetration"][-1] == many["penetration"][1, 0]
-    assert alone["torque@10 s"] == history["torque"][2]
-    assert (alone["worn_volume_lower@all"] == history["worn_volume_lower"]).all()
+    assert alone["penetration"] == pytest.approx(history["penetration"][-1], rel=1e-4)
+    assert alone["penetration"] == pytest.approx(many["penetration"][1, 0], rel=1e-9)
+    assert alone["torque@10 s"] == pytest.approx(history["torque"][2], rel=1e-4)
+    volumes = alone["worn_volume_lower@all"]
+    assert volumes == pytest.approx(history["worn_volume_lower"], rel=1e-4, abs=1e-12)
 
 
 def test_derivatives_are_those_of_differences(case):

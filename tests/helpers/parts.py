@@ -13,7 +13,7 @@ from wearing import ThresholdLaw as ThresholdLaw
 
 #: names by the module that they are in
 PLACES = {
-    "arrays": "derivative share",
+    "arrays": "derivative",
     "cases.case": "Load Output Ring RingLayer Stepping",
     "cases.files.law_trials": "refuse_bad_laws",
     "cases.files.reading": "make_case parse_case",
@@ -21,9 +21,6 @@ PLACES = {
     "cases.units": "factor named_unit unit_of_column",
     "cases.values": "RejectedError",
     "cli": "main",
-    "contact.block": "BlockSolver",
-    "contact.problem": "Line",
-    "contact.tao": "TaoContact",
     "elasticity.bem.body": "compliance",
     "elasticity.bem.boundary": "node_wear",
     "elasticity.mesh": "ContactLine Mesh case_slopes common_slope",
@@ -35,7 +32,7 @@ PLACES = {
     "files.spreadsheets": "write_xlsx",
     "files.text": "parse_toml toml_text",
     "history.elastic": "bodies boundary_recovery operator_key updated_geometry",
-    "history.loop": "simulate_one",
+    "history.loop": "first_contact simulate_one",
     "identification.definition.fit_file": "read_fit",
     "identification.definition.problem": "ProcessNoise Scatter Series",
     "identification.draws": "Draws conditions_of law_names read_draws write_draws",
@@ -49,7 +46,6 @@ PLACES = {
     "pictures.run_panels": "HISTORY_PANELS",
     "prediction.predict": "draw_paces fit_draws",
     "prediction.prediction": "TimeTo times_at",
-    "reports.run_page": "profiles",
     "reports.spreadsheets": "export",
     "results.recorder": "Recorder",
     "results.run": "run_case",

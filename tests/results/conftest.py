@@ -16,10 +16,10 @@ def stopped_after(monkeypatch):
 
     @contextmanager
     def stopped_after(step):
-        def interrupted(self, snapshot):
-            if snapshot.progress.steps == step:
+        def interrupted(self, instant):
+            if instant.state.steps[0] == step:
                 signal.raise_signal(signal.SIGTERM)
-            return call(self, snapshot)
+            return call(self, instant)
 
         with monkeypatch.context() as patch:
             patch.setattr(run.Run, "__call__", interrupted)

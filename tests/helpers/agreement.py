@@ -1,0 +1,19 @@
+"""How far histories that are stepped side by side may be from those of single runs.
+
+Contact within blocks is solved to 1e-4 of the largest pressure and to a part of the tolerance of
+wear, alone to 1e-8: the same steps then wear the same to some hundredths of the tolerance.
+"""
+
+import numpy as np
+
+
+def assert_agree(found, exact, tolerance=1e-5):
+    """Two results are the same to the accuracy of contact within blocks; tolerance in mm."""
+    assert np.array_equal(found.steps_made, exact.steps_made)
+    assert found.histories["time"].tolist() == exact.histories["time"].tolist()
+    for name, values in (exact.histories | exact.profiles).items():
+        own = {**found.histories, **found.profiles}[name]
+        assert (own.shape, own.dtype) == (values.shape, values.dtype), name
+        if name != "contact_iterations":
+            most = 5e-4 * np.abs(values).max() + 0.05 * tolerance
+            assert np.abs(own - values).max() <= most, name
