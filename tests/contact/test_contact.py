@@ -1,21 +1,13 @@
 """Contacts by TAO and in blocks: against closed forms, a dense active set, and each other."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import active_set
 import numpy as np
 import pytest
-from parts import (
-    BlockSolver,
-    Line,
-    Material,
-    Mesh,
-    PowerLaw,
-    TaoContact,
-    ThresholdLaw,
-    simulate_one,
-)
+from contact_problems import HARD, Bed, drawn, spring
+from parts import BlockSolver, Line, Mesh, PowerLaw, TaoContact, simulate_one
 from petsc4py import PETSc
 from reference_cases import paper_case
 from tracing import ALONE, trace
@@ -25,7 +17,6 @@ from ringwear_par.contact import _rows
 from ringwear_par.contact.problem import Compliance
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.mesh import contact_line
-from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.block import Block
 from ringwear_par.history.elastic import assemble
 
@@ -53,41 +44,6 @@ def by_tao(block, *problem):
 
 
 SOLVERS = {"block": in_blocks, "tao": by_tao}
-
-
-def drawn(paper, count, seed, law=None, by_force=True):
-    """Return a block of random moduli and wear on random faces, and its contact problems.
-
-    Faces are curved, wavy and rough; some do not wear in the step, some above a threshold only.
-    """
-    (case, pair), rng = paper, np.random.default_rng(seed)
-    n, size = pair.line.n, (count, 1)
-    p0 = rng.uniform(0.0, 60.0, (2, count)) * (rng.random((2, count)) < 0.5)
-    k = 10 ** rng.uniform(-8.0, -2.0, (2, count)) * (rng.random((2, count)) < 0.8) / 100.0
-    law = law or (lambda k, p0: ThresholdLaw(k, p0))
-    cases = [
-        replace(
-            case, wear_lower=law(k[0, i], p0[0, i]), wear_upper=law(k[1, i], p0[1, i]),
-            lower=replace(case.lower, young=float(10 ** rng.uniform(3.3, 6.0))),
-            upper=replace(case.upper, young=float(10 ** rng.uniform(3.3, 6.0))),
-        )
-        for i in range(count)
-    ]  # fmt: skip
-    block = Block.of(cases, [pair] * count)
-    x = (pair.line.r - 30.0) / 1.5
-    curved = np.abs(rng.normal(size=size)) * 10 ** rng.uniform(-5.0, -1.0, size)
-    gap = curved * (x - rng.uniform(-1.0, 1.0, size)) ** 2
-    wave = np.cos(x * rng.uniform(1.0, 12.0, size) + rng.uniform(0.0, 6.0, size))
-    gap += 10 ** rng.uniform(-6.0, -2.5, size) * wave
-    gap += 10 ** rng.uniform(-7.0, -4.5, size) * rng.normal(size=(count, n))
-    load = 10 ** rng.uniform(-1.0, 2.3, count) * pair.line.area.sum()
-    if not by_force:
-        block = replace(block, by_force=False)
-        load = gap.min(axis=1) + 10 ** rng.uniform(-4.0, -1.5, count)
-    zero, ones = np.zeros(count), np.ones(count)
-    wear = np.zeros((2, count, n))
-    step = block.step_wear(wear.astype(int), zero, (2.0 * ones, 0.1 * ones), wear, ones)
-    return block, (gap, load, step)
 
 
 def apart(one, other):
@@ -129,23 +85,6 @@ def test_a_dense_active_set_finds_the_same(paper, name):
         assert area @ found.pressure[i] == pytest.approx(load[i], rel=1e-8)
 
 
-@dataclass
-class Bed:
-    """What solvers need to know of a block."""
-
-    compliance: Compliance
-    by_force: bool
-
-
-def spring(stiffness, count=1, matrix=None):
-    """Return the compliance of elements that give way by their own pressures, or by a matrix."""
-    matrix = np.eye(12) / stiffness if matrix is None else matrix
-    n, units = len(matrix), np.stack([matrix, 0.0 * matrix])[None]
-    columns = np.ascontiguousarray(units.swapaxes(2, 3))
-    line = Line((None,), np.linspace(1.0, 2.0, n), np.linspace(0.5, 1.5, n), None, units, columns)
-    return Compliance.of(line, np.zeros(count, int), np.ones((count, 2)))
-
-
 @pytest.mark.parametrize("name", SOLVERS)
 def test_springs_have_a_closed_form(name):
     """P = (d - gap) / c where positive, c the compliance and the wear of the step per MPa."""
@@ -166,40 +105,12 @@ def test_springs_have_a_closed_form(name):
     assert not apart.pressure.any()
 
 
-UPPER = Body(Section((28.5, 31.5), 20.0), 1e5, 0.3, "clamped")
-WIDE = (20.0, 40.0)
-
-
-def _layered(*layers):
-    """Return a ring of 10 GPa with layers of thickness (mm), E (MPa) and nu."""
-    sizes, materials = tuple(h for h, *_ in layers), tuple(Material(e, nu) for _, e, nu in layers)
-    return Body(Section(WIDE, 20.0, layers=sizes), 1e4, 0.3, "clamped", materials)
-
-
-def _plain(r, height, young):
-    return Body(Section(r, height), young, 0.3, "clamped")
-
-
-#: pairs whose compliances are the least symmetric, or nearly singular
-HARD = {
-    "pin with the axis on a disc": (_plain((0.0, 40.0), 20.0, 1e4), _plain((0.0, 5.0), 20.0, 1e5)),
-    "equal discs": (_plain((0.0, 10.0), 10.0, 1e5), _plain((0.0, 10.0), 10.0, 1e5)),
-    "soft film, 20 um": (_layered((0.02, 10.0, 0.499)), UPPER),
-    "soft film, 1 um": (_layered((0.001, 10.0, 0.4999)), UPPER),
-    "incompressible film": (_layered((0.1, 10.0, 0.4999)), UPPER),
-    "hard film": (_layered((0.003, 5e5, 0.2)), UPPER),
-    "two films": (_layered((0.003, 1e5, 0.3), (0.003, 5e4, 0.3)), UPPER),
-    "thin disc": (_plain((0.0, 30.0), 1.4, 500.0), _plain((10.0, 20.0), 20.0, 1e5)),
-    "washer": (_plain((5.0, 40.0), 0.5, 1e4), _plain((5.0, 40.0), 5.0, 1e5)),
-}
-
-
 @pytest.mark.parametrize("name", HARD)
 def test_hard_pairs(paper, name):
     lower, upper = HARD[name]
     mesh = Mesh(48)
     pair = assemble_pair((lower, upper), contact_line(upper.section.r, mesh), mesh, ALONE)
-    count, n, rng = 12, 48, np.random.default_rng(20261128)
+    count, rng = 12, np.random.default_rng(20261128)
     line = Line.of([pair])
     moduli = np.tile([1.0 / lower.young, 1.0 / upper.young], (count, 1))
     block = Bed(Compliance.of(line, np.zeros(count, int), moduli), True)
@@ -247,18 +158,20 @@ def test_two_pairs_of_bodies_in_a_block(paper):
 
 def test_the_solver_of_one_history_is_an_option(paper):
     """Its states are those by TAO to the residuals that it allows, in other iterations."""
-    case, options, found = replace(paper[0], time=replace(paper[0].time, steps=5)), {}, {}
-    options = PETSc.Options("contact_")
+    case, options, states = (
+        replace(paper[0], time=replace(paper[0].time, steps=5)), PETSc.Options("contact_"), [],
+    )  # fmt: skip
+
+    def save(instant):
+        states.append(instant.state)
+
     for solver in ("tao", "block"):
         options["solver"] = solver
-        states = []
         try:
-            simulate_one(case, ALONE, lambda instant: states.append(instant.state), pair=paper[1],
-                         every=True)  # fmt: skip
+            simulate_one(case, ALONE, save, pair=paper[1], every=True)
         finally:
             options.delValue("solver")
-        found[solver] = states[-1]
-    one, other = found["tao"], found["block"]
+    one, other = states[len(states) // 2 - 1], states[-1]
     assert np.abs(one.pressure - other.pressure).max() < 1e-3 * one.pressure.max()
     assert one.iterations[0] != other.iterations[0]
     assert trace(case, paper[1], tao=True).last.approach == one.approach[0]

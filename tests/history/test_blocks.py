@@ -166,4 +166,6 @@ def test_a_sweep_of_wear_through_agrees_with_single_runs():
         off = one.profiles["wear_lower"][-1] - exact.profiles["wear_lower"][-1]
         assert np.abs(off).max() < tolerance
         through = one.attributes["time_through_lower"]
-        assert through == pytest.approx(exact.attributes["time_through_lower"], rel=1e-3, nan_ok=True)
+        assert through == pytest.approx(
+            exact.attributes["time_through_lower"], rel=1e-3, nan_ok=True
+        )

@@ -9,13 +9,13 @@ from parts import Load, Mesh, Ring, Stepping, ThresholdLaw
 from paths import PAPER
 from reference_cases import paper_case, round_face
 from tracing import ALONE, first_contact, trace
+
+import ringwear_par as rw
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.history.block import Block
 from ringwear_par.history.following import Following
 from ringwear_par.history.refusals import check_mesh
 from ringwear_par.history.schemes import start
-
-import ringwear_par as rw
 
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
@@ -81,8 +81,9 @@ def test_worn_volume_while_the_contact_grows(shape, geometry):
     line = history.line
     # the cut that has the same volume: how deep is it, and does it reach as far as the contact?
     depth = np.interp(line.r, *zip(*face, strict=True))
-    cut = np.maximum(depth - np.linspace(-0.1, 0.0, 4001)[:, None], 0.0) @ line.area
-    deepest = -float(np.interp(line.area @ last.wear[1], cut[::-1], np.linspace(-0.1, 0.0, 4001)[::-1]))
+    levels = np.linspace(-0.1, 0.0, 4001)
+    cut = np.maximum(depth - levels[:, None], 0.0) @ line.area
+    deepest = -float(np.interp(line.area @ last.wear[1], cut[::-1], levels[::-1]))
     assert last.wear[1].max() == pytest.approx(deepest, rel=0.15)
     if geometry == "updated":
         assert history.following.updates >= 1

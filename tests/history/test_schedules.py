@@ -1,5 +1,7 @@
 """Speeds and friction that change in time, steps that are given, and paces of wear in them."""
 
+import itertools
+
 import numpy as np
 import pytest
 from parts import Table, bends, integral, key_numbers, results_of
@@ -121,7 +123,7 @@ def test_steps_that_are_given():
     assert again.times == alone.times
     assert again.last.wear == pytest.approx(alone.last.wear, rel=1e-6)
     ends = alone.times
-    twice = sorted([*ends[1:], *(0.5 * (a + b) for a, b in zip(ends, ends[1:], strict=False))])
+    twice = sorted([*ends[1:], *(0.5 * (a + b) for a, b in itertools.pairwise(ends))])
     assert trace(case, pair, step_times=twice).times[1:] == twice
 
 

@@ -167,7 +167,7 @@ def test_implicit_steps_of_any_length_are_smooth(stepped, step):
 
 
 def test_the_steady_pressure_and_its_torque(stepped):
-    """p = c / r: the friction force acts at the mean radius."""
+    """With p = c / r the friction force acts at the mean radius."""
     history = stepped(wear_lower=ThresholdLaw(1e-7), time=Stepping("implicit", 40.0, 200))
     case, line, p = history.block.cases.every[0], history.line, history.last.pressure
     c = case.load.force / (2.0 * np.pi * 3.0)

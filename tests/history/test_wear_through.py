@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from paths import CASES
 from tracing import ALONE, trace
-from ringwear_par.history.layers import layer_left, layer_volumes
 
 import ringwear_par as rw
 from ringwear_par.history.elastic import assemble
+from ringwear_par.history.layers import layer_left, layer_volumes
 
 CASE = CASES / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
