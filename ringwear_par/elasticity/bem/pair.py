@@ -159,8 +159,6 @@ class ContactPair:
     _last: dict[tuple[float, float], ContactCompliance] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    #: families of compliances, by number, see ``compliance_family``
-    families: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __repr__(self) -> str:
         a, b = self.line.edges[[0, -1]]
