@@ -10,7 +10,6 @@ the elements at an edge, by their whole pressure where that is regular, and howe
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
