@@ -34,7 +34,7 @@ def test_rows_are_what_their_own_keys_give(tmp_path, comm):
             alone = rw.simulate(rw.read_case(tmp_path / "paper.toml", keys), comm)
             for name in FINAL:
                 value = alone.histories[name][-1]
-                assert float(row[name]) == pytest.approx(value, rel=1e-9, abs=1e-12), (i, name)
+                assert float(row[name]) == pytest.approx(value, rel=1e-4, abs=1e-12), (i, name)
             one = data.isel(case=i)
             assert str(one.case.values) == row["case"]
             assert float(one["wear.lower.k"]) == keys["wear.lower.k"]
