@@ -131,7 +131,12 @@ class TaoContact:
             self._pose(row, error[row], 0.0, wear)
             self._x.setArray(np.append(p[row] / self._to_pressure, 0.0)[self._rows])
             self._set_jacobian(None, self._x, self._jacobian, None)
-            self._jacobian.zeroRows(np.flatnonzero(p[row] <= 0.0).astype(np.int32), 1.0)
+            # as zeroRows does it, which in PETSc 3.18 sets all diagonals of MPI dense matrices
+            apart = np.flatnonzero(p[row, self._own] <= 0.0)
+            values = self._jacobian.getDenseArray()
+            values[apart] = 0.0
+            values[apart, self._own[apart]] = 1.0
+            self._jacobian.assemble()
             pressed = np.append(-self._weight * error[row] * (p[row] > 0.0), 0.0)
             self._f.setArray(pressed[self._rows])
             self._ksp.reset()  # TAO's systems are of the elements in contact

@@ -2,15 +2,14 @@
 
 import math
 import os
-from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.cases.case import Case, Ring, Stress
+from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
+from ringwear_par.elasticity.bem.boundary import count_at_interfaces, count_elements, zone_meshes
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
 
@@ -18,8 +17,6 @@ from ringwear_par.files.text import toml_value
 SEARCHED = 4000.0
 #: of a machine's memory that a run may take
 _SHARE_OF_MEMORY = 0.9
-#: points of the smallest grid that there is
-_SMALLEST_GRID = 4
 
 
 def memory_needed(case: Case, ranks: int) -> float:
@@ -59,10 +56,9 @@ def stress_numbers(case: Case) -> tuple[float, float]:
     if isinstance(case.stress.times, tuple):
         rows = min(rows, float(len(case.stress.times)))
     along = sum(
-        2.0 * len(ring.layers)
-        * face_elements(case.section(ring), case.contact, case.mesh, fine=True)
+        2.0 * count_at_interfaces(case.section(ring), case.contact, case.mesh)
         for ring in case.rings
-    )  # fmt: skip
+    )
     # looking for the largest stress takes some of its own
     return case.stress.size + SEARCHED, rows * (
         12.0 * case.stress.size + 12.0 * case.mesh.contact_elements + 7.0 * along
@@ -70,7 +66,7 @@ def stress_numbers(case: Case) -> tuple[float, float]:
 
 
 def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
-    """Return how many numbers the systems of two bodies take at once, on all ranks together.
+    """Return how many numbers the systems of a body take at once, on all ranks together.
 
     Parameters
     ----------
@@ -78,16 +74,18 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     loads : right-hand sides.
     """
     matrix, right = unknowns**2, unknowns * loads
-    of_a_body = 1.25 * matrix + 1.5 * right
-    if ranks == 1:  # one body after another: its rows, their factors
-        return 2.0 * of_a_body
+    rows = 1.25 * matrix + 1.5 * right
+    # of one body after another: its rows, their factors, the values on its whole boundary
+    alone = 2.0 * rows + 2.25 * right
+    if ranks == 1:
+        return alone
     from ringwear_par.elasticity.bem.solve import has_scalapack, solved_on_one_rank
 
-    if solved_on_one_rank(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
-        return 6.0 * of_a_body
-    # one body after another: its rows, and the copies of PETSc 3.18, measured on 2 ranks
+    if solved_on_one_rank(round(unknowns), ranks):
+        return ranks * alone
+    # its rows, the copies of PETSc 3.18, measured on 2 ranks, the solution and values on each rank
     copies = 6.0 if has_scalapack() else 1.0 + 3.0 * ranks
-    return of_a_body + copies * (matrix + right)
+    return rows + copies * (matrix + right) + ranks * 3.75 * right
 
 
 def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> None:
@@ -137,60 +135,20 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
     """
     needed = memory_needed(case, ranks)
     installed = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    most = _SHARE_OF_MEMORY * installed
-    if needed <= most:
+    if needed <= _SHARE_OF_MEMORY * installed:
         return
-    sentence = (
-        f"needs about {needed / 1e9:.3g} GB of memory, this machine has "
-        f"{installed / 1e9:.3g} GB; must"
-    )
-    if too_many := _too_many_points(case, ranks, needed, most):
-        key, allowed = too_many
-        raise InputError(f"{name}: {key}: {sentence} be at most {allowed} points")
     taking = [f"mesh.contact_elements = {case.mesh.contact_elements}"]
     if not case.time.adaptive:
         taking.append(f"time.steps = {case.time.steps}")
-    if case.stress is not None:
-        taking += _stress_keys(case.stress)
+    if (stress := case.stress) is not None:
+        taking += [] if stress.grid is None else [f"stress.grid.n = {list(stress.grid.n)}"]
+        taking += [f"stress.points: {len(stress.points)} of them"] * bool(stress.points)
+        taking += [f"stress.times = {toml_value(stress.times)}"] * (stress.times != "last")
     taking.append(f"output.every = {case.output.every}")
-    raise InputError(f"{name}: {', '.join(taking)}: {sentence} be less")
-
-
-def _stress_keys(stress: Stress) -> list[str]:
-    """Return the keys of stress that memory depends on, with their values."""
-    keys = [] if stress.grid is None else [f"stress.grid.n = {list(stress.grid.n)}"]
-    if stress.points:
-        keys.append(f"stress.points: {len(stress.points)} of them")
-    if stress.times != "last":
-        keys.append(f"stress.times = {toml_value(stress.times)}")
-    return keys
-
-
-def _too_many_points(case: Case, ranks: int, needed: float, most: float) -> tuple[str, int] | None:
-    """Return the key whose points of stress take the memory, and how many it may have.
-
-    None where the rest of the case takes it, or so much that hardly a point is left.
-
-    Parameters
-    ----------
-    needed, most : bytes, of the case and that it may have.
-    """
-    stress = case.stress
-    if stress is None:
-        return None
-    grid, listed = stress.grid, len(stress.points)
-    of_grid = grid is not None and stress.size > 2 * listed
-    rest = replace(stress, grid=None) if of_grid else replace(stress, points=())
-    without = memory_needed(replace(case, stress=rest), ranks)
-    if without >= most:
-        return None
-    points = stress.size - rest.size
-    allowed = math.floor(points * (most - without) / (needed - without))
-    if allowed < (_SMALLEST_GRID if of_grid else 1):
-        return None
-    if grid is None or not of_grid:
-        return f"stress.points: {listed} of them", allowed
-    return f"stress.grid.n = {list(grid.n)}", allowed
+    raise InputError(
+        f"{name}: {', '.join(taking)}: needs about {needed / 1e9:.3g} GB of memory, this machine "
+        f"has {installed / 1e9:.3g} GB; must be less"
+    )
 
 
 def check_mesh(case: Case, name: str) -> None:

@@ -20,8 +20,7 @@ from ringwear_par.pictures.stresses import (
     highest,
     largest,
 )
-from ringwear_par.results.export import boundary_states
-from ringwear_par.results.fields import check_grid, interfaces_of, nearest_states, stresses
+from ringwear_par.results import fields
 from ringwear_par.results.result import Result
 
 #: a panel, or a function that draws what matplotlib alone draws
@@ -53,7 +52,7 @@ def _titled(panel: Panel, label: str) -> Panel:
 def _states(item: Item) -> list[StressState]:
     """Return the states nearest to which stresses are drawn, the last one if none is chosen."""
     times = item.result.histories["time"][list(item.rows)].tolist() if item.chosen else []
-    return nearest_states(stresses(item.result).states, times)
+    return fields.nearest_states(fields.stresses(item.result).states, times)
 
 
 def _maps(items: Sequence[Item]) -> Iterator[Drawing]:
@@ -116,17 +115,18 @@ KINDS = {
     ),
     "section": Kind(
         _by_result(lambda item: [partial(draw_section, result=item.result, label=item.label)]),
-        lambda result: boundary_states(result)[-1], rows=False, apart=True,
+        lambda result: fields.boundaries(result)[-1], rows=False, apart=True,
     ),
-    "stress": Kind(_maps, check_grid),
+    "stress": Kind(_maps, fields.check_grid),
     "depth": Kind(
-        _by_result(lambda item: [along_height(item.result, item.label, _states(item))]), check_grid
+        _by_result(lambda item: [along_height(item.result, item.label, _states(item))]),
+        fields.check_grid,
     ),
     "interfaces": Kind(
         _by_result(lambda item: along_interfaces(item.result, item.label, _states(item))),
-        interfaces_of,
+        fields.interfaces_of,
     ),
-    "mises": Kind(_shared(largest), stresses, rows=False, shared=True),
+    "mises": Kind(_shared(largest), fields.stresses, rows=False, shared=True),
     **{
         name: Kind(
             _shared(partial(run_panels.history, quantity=name)), panel.curves, rows=False,

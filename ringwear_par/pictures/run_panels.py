@@ -12,13 +12,8 @@ from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
-from ringwear_par.results.key_numbers import (
-    laboratory_numbers,
-    number_words,
-    schedule_of,
-    time_unit,
-    time_words,
-)
+from ringwear_par.results import key_numbers
+from ringwear_par.results.key_numbers import number_words, time_unit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time
@@ -88,8 +83,8 @@ HISTORY_PANELS = {
     "torque": _stored("torque", "friction torque"),
     "friction": HistoryPanel(
         "friction coefficient",
-        lambda result: {
-            "": in_time(schedule_of(result.attributes, "friction"), result.histories["time"])
+        lambda of: {
+            "": in_time(key_numbers.schedule_of(of.attributes, "friction"), of.data["time"])
         },
     ),
     "energy": _stored("dissipated_energy", "energy dissipated"),
@@ -98,7 +93,7 @@ HISTORY_PANELS = {
     "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
     "pv": HistoryPanel(
         "p V at the mean radius (MPa m/s)",
-        lambda result: {"": laboratory_numbers(result)["pressure_velocity"]},
+        lambda result: {"": key_numbers.laboratory_numbers(result)["pressure_velocity"]},
     ),
 }
 

@@ -13,7 +13,7 @@ from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields
 from ringwear_par.pictures.run_panels import pressure_limit
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.export import boundary_states
+from ringwear_par.results.fields import boundaries
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Result
 
@@ -82,7 +82,7 @@ def _contact_elements(body: BoundaryFields) -> tuple[IntArray, IntArray]:
 
 def draw_section(axes: Any, result: Result, label: str) -> None:
     """Deformed meridian sections, magnified, with the contact pressure as colour."""
-    state = boundary_states(result)[-1]
+    state = boundaries(result)[-1]
     sections = outlines(result.case, result.name)
     planes = [outline.plane for outline in sections]
     factor = _factor(state.bodies, planes)

@@ -13,11 +13,12 @@ from ringwear_par.elasticity.stress.fields import COMPONENTS, BoundaryState, max
 from ringwear_par.errors import InputError
 from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
+from ringwear_par.results.fields import boundaries
 from ringwear_par.results.files import result_of
 from ringwear_par.results.hdf5 import atomic_hdf5
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import VARIABLES, Variable
+from ringwear_par.results.variables import VARIABLES
 
 if TYPE_CHECKING:
     import xarray
@@ -70,7 +71,7 @@ def export(run: Result | str | Path, output: Path) -> str:
     if "stress_grid" in result.data and not result.boundary:
         what, times, cells = "stress", result.data["stress_time"], _stress_cells(result.data)
     else:
-        states = boundary_states(result)
+        states = boundaries(result)
         what, times = "both bodies", [state.time for state in states]
         cells = _boundary_cells(states)
     if not len(cells.cells):
@@ -111,31 +112,12 @@ def _table(data: "xarray.Dataset", name: str) -> Table:
     table = xarray.Dataset(columns)
     names = [*axes, *(str(c) for c in table.coords if c not in axes), *columns]
     frame = table.to_dataframe(dim_order=[*axes]).reset_index()[names]
-    header = [_titled(n, table[n].attrs.get("units", "1")) for n in names]
+    header = [titled(n, table[n].attrs.get("units", "1")) for n in names]
     return name, header, frame.itertuples(index=False, name=None)
 
 
-def boundary_states(result: Result) -> Sequence[BoundaryState]:
-    """Return the stored states of both bodies' boundaries.
-
-    Raises
-    ------
-    InputError : there are none.
-    """
-    if not result.boundary:
-        raise InputError(
-            f"{result.name}: holds no fields on the bodies' boundaries; must be computed with "
-            'output.boundary = "last" or "all", or with times'
-        )
-    return result.boundary
-
-
-def titled(variable: Variable) -> str:
+def titled(name: str, unit: str) -> str:
     """Return the name of a variable with its unit, as headers have it."""
-    return _titled(variable.name, variable.unit)
-
-
-def _titled(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
 
 

@@ -28,8 +28,6 @@ from ringwear_par.results.variables import (
     POINT_STRESS,
 )
 
-#: components of places, the first two, and of vectors
-DIRECTIONS = ("r", "z", "theta")
 #: ends of the names of the numbers of a ``Largest``
 _LARGEST = {"": "mises", "_r": "r", "_z": "z", "_layer": "layer"}
 #: arrays of a ``StressState`` by the name of its field, the later ones of each body
@@ -210,7 +208,7 @@ def stresses(result: Result) -> StressHistory:
     InputError : there are none.
     """
     if result.stress is None:
-        raise _lacks(result, "", "computed with [stress] in its case")
+        raise _lacks(result, "stresses", "computed with [stress] in its case")
     return result.stress
 
 
@@ -222,7 +220,7 @@ def check_grid(result: Result) -> None:
     InputError : there are none, or none on a grid.
     """
     if not len(stresses(result).grid[0]):
-        raise _lacks(result, " on a grid", "computed with stress.grid")
+        raise _lacks(result, "stresses on a grid", "computed with stress.grid")
 
 
 def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
@@ -267,9 +265,22 @@ def interfaces_of(result: Result) -> list[Interface]:
         for layer, z in enumerate(line.z)
     ]
     if not interfaces:
-        raise _lacks(result, " along interfaces", "of a body with layers")
+        raise _lacks(result, "stresses along interfaces", "of a body with layers")
     return interfaces
 
 
-def _lacks(result: Result, where: str, must: str) -> InputError:
-    return InputError(f"{result.name}: holds no stresses{where}; must be {must}")
+def boundaries(result: Result) -> tuple[BoundaryState, ...]:
+    """Return the stored states of both bodies' boundaries.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    if not (states := result.boundary):
+        how = 'computed with output.boundary = "last" or "all", or with times'
+        raise _lacks(result, "fields on the bodies' boundaries", how)
+    return states
+
+
+def _lacks(result: Result, what: str, must: str) -> InputError:
+    return InputError(f"{result.name}: holds no {what}; must be {must}")

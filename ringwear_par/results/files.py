@@ -13,11 +13,10 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results import hdf5
-from ringwear_par.results.fields import DIRECTIONS, stress_measures
+from ringwear_par.results.fields import stress_measures
 from ringwear_par.results.key_numbers import laboratory_numbers
 from ringwear_par.results.result import Checkpoint, Last, Result
 from ringwear_par.results.variables import (
@@ -25,6 +24,7 @@ from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     SOFTWARE,
     VARIABLES,
+    WORDS,
     Variable,
     axis,
     edge_elements,
@@ -34,11 +34,6 @@ from ringwear_par.results.variables import (
 if TYPE_CHECKING:
     import xarray
 
-#: coordinates that are texts
-_TEXTS = {
-    "component": [*COMPONENTS], "side": [*SIDES], "plane": [*DIRECTIONS[:2]],
-    "direction": [*DIRECTIONS],
-}  # fmt: skip
 #: place of the checkpoint
 _STATE = "checkpoint/state"
 
@@ -64,9 +59,9 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
     for name, (variable, values) in pairs.items():
         group = name[: name.rfind("/") + 1]
         for dimension, size in zip(variable.dimensions, np.shape(values), strict=True):
-            place, entries = f"{group}{dimension}", _TEXTS.get(dimension, np.arange(size))
-            own = VARIABLES[place] if dimension in _TEXTS else axis(dimension)
-            axes[place] = pairs.get(place, (own, entries))
+            if (place := f"{group}{dimension}") not in axes:
+                entries = [*WORDS.get(dimension, range(size))]
+                axes[place] = pairs.get(place, (axis(dimension), entries))
     return axes | pairs
 
 
@@ -81,7 +76,7 @@ def _variable(name: str, values: Any) -> Variable:
 
 
 def open_result(path: str | Path) -> Result:
-    """Read a result file. Not collective.
+    """Read a result file.
 
     Returns
     -------
@@ -123,7 +118,7 @@ def _arrays(group: h5py.Group, before: str = "") -> Iterator[tuple[str, Any]]:
         place = f"{before}{name}"
         if isinstance(item, h5py.Group):
             yield from _arrays(item, f"{place}/")
-        elif place in VARIABLES and name not in _TEXTS:
+        elif place in VARIABLES:
             yield place, item.asstr()[()].tolist() if item.dtype.kind == "O" else item[()]
 
 

@@ -30,8 +30,6 @@ class UnreadableError(InputError):
 def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5py.File]:
     """Yield a file of this software to read; any error meanwhile means that it is not one.
 
-    Not collective.
-
     Parameters
     ----------
     software : attribute of such files.

@@ -14,7 +14,7 @@ from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.results.result import HistoryColumns, Last, Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Schedules, Table, in_time, integral, mean
+from ringwear_par.schedules import Quantity, Schedules, Table, in_time, integral
 
 _HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
@@ -63,24 +63,19 @@ def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
     """Return the numbers of the stored states of a result (s,) by name; those that there are."""
     about = result.attributes
     densities = {body: densities_of(result, body) for body in BODIES if about[f"law_{body}"]}
-    area, radius = float(about["nominal_area"]), float(about["mean_radius"])
     omega, time = schedule_of(about, "omega"), result.data["time"]
     return _numbers(
-        result.data, slice(None), _normal_work(result), in_time(omega, time),
-        integral(omega, 0.0, time), area, radius, densities,
+        result.data, slice(None), in_time(omega, time), integral(omega, 0.0, time),
+        about["nominal_area"], about["mean_radius"], densities,
     )  # fmt: skip
 
 
-def end_numbers(
-    cases: Sequence[Case], columns: HistoryColumns, normal_work: FloatArray
-) -> dict[str, FloatArray]:
+def end_numbers(cases: Sequence[Case], columns: HistoryColumns) -> dict[str, FloatArray]:
     """Return the numbers at the last stored states of B histories on one contact pair, (B,).
 
     Parameters
     ----------
-    cases : theirs.
-    columns : theirs, as stored.
-    normal_work : (B,) N mm, see ``_numbers``.
+    cases, columns : of these histories.
     """
     stored, last = np.diff(columns.offsets) > 0, columns.offsets[1:] - 1
     if not stored.any():
@@ -92,8 +87,8 @@ def end_numbers(
     }
     omega, time = Schedules.of([c.load.omega for c in cases]), columns.histories["time"][last]
     numbers = _numbers(
-        {**columns.histories, **columns.layers}, last, normal_work,
-        omega.at(time), omega.integral(time), cases[0].area, cases[0].mean_radius, densities,
+        {**columns.histories, **columns.layers}, last, omega.at(time), omega.integral(time),
+        cases[0].area, cases[0].mean_radius, densities,
     )  # fmt: skip
     return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
 
@@ -101,7 +96,6 @@ def end_numbers(
 def _numbers(
     data: Mapping[str, Any],
     rows: Any,
-    normal_work: FloatArray,
     omega: FloatArray,
     angle: FloatArray,
     area: float,
@@ -113,7 +107,6 @@ def _numbers(
     Parameters
     ----------
     data, rows : stored variables by name, and which of their rows are of these states.
-    normal_work : (s,) N mm, pressure times sliding distance over all places; NaN where unknown.
     omega, angle : (s,) rad/s, and rad turned since the start.
     area, radius : of the nominal contact, mm2, and its mean, mm.
     densities : (layers + 1,) or (s, layers + 1) g/mm3 of each body that wears, NaN where unknown.
@@ -127,7 +120,7 @@ def _numbers(
             numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
         # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
         worn, hours = 1e3 * volume.sum(axis=1), time / _HOUR
-        for name, divisor in (("mean", area * hours), ("specific", normal_work)):
+        for name, divisor in (("mean", area * hours), ("specific", data["normal_work"][rows])):
             unknown = np.full(worn.shape, np.nan)
             rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
             numbers[f"{name}_wear_rate_{body}"] = rate
@@ -155,22 +148,6 @@ def schedule_of(about: Mapping[str, Any], name: str) -> Quantity:
         times, values = zip(*json.loads(about[f"{name}_table"]), strict=True)
         return Table(times, values)
     return float(about[name])
-
-
-def _normal_work(result: Result) -> FloatArray:
-    """Return the work of the pressures over the sliding distance (s,), N mm.
-
-    It is that of the friction energy; where friction is a table, with its mean between states, such
-    that the end is what the history knows.
-    """
-    energy, time = result.data["dissipated_energy"], result.data["time"]
-    means = mean(schedule_of(result.attributes, "friction"), time[:-1], time[1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
-        if (last := result.checkpoint) is not None and last.last.time == time[-1]:
-            work *= last.last.normal_work / work[-1]
-            work[-1] = last.last.normal_work  # without friction, too
-    return work
 
 
 # -- key numbers -----------------------------------------------------------------------------------
@@ -229,28 +206,24 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     state, about = result.checkpoint.last, result.attributes
     ends = {name: float(values[-1]) for name, values in result.histories.items()}
     ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
-    return [
-        *_group("penetration", _penetration(result, state)),
-        *(n for i, body in enumerate(BODIES) for n in _group(body, _worn(result, state, i, ends))),
-        *(
-            number
-            for i, body in enumerate(BODIES)
-            for number in _group(f"worn layers of {body}", _layers(result, state, i))
-        ),
-        *_group("pressure", _pressures(result, state)),
-        *_group("load", (
-            ("force", "force", state.force, "N"),
-            ("torque", "torque", 1e-3 * ends["torque"], "N m"),
-            ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
-            ("approach", "approach", state.approach, "mm"),
-        )),
-        *_group("sliding at the mean radius", (
-            ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
-            ("p_v", "p V", ends["pressure_velocity"], "MPa m/s"),
-            ("distance", "distance", ends["sliding_distance"], "m"),
-        )),
-        *_stresses(result, state),
-    ]  # fmt: skip
+    numbers = _group("penetration", _penetration(result, state))
+    for i, body in enumerate(BODIES):
+        numbers += _group(body, _worn(result, state, i, ends))
+    for i, body in enumerate(BODIES):
+        numbers += _group(f"worn layers of {body}", _layers(result, state, i))
+    numbers += _group("pressure", _pressures(result, state))
+    numbers += _group("load", (
+        ("force", "force", state.force, "N"),
+        ("torque", "torque", 1e-3 * ends["torque"], "N m"),
+        ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
+        ("approach", "approach", state.approach, "mm"),
+    ))  # fmt: skip
+    numbers += _group("sliding at the mean radius", (
+        ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
+        ("p_v", "p V", ends["pressure_velocity"], "MPa m/s"),
+        ("distance", "distance", ends["sliding_distance"], "m"),
+    ))  # fmt: skip
+    return numbers + _stresses(result)
 
 
 def _penetration(result: Result, state: Last) -> Iterator[_Row]:
@@ -259,10 +232,11 @@ def _penetration(result: Result, state: Last) -> Iterator[_Row]:
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
     """
-    load, least = state.pressure * result.line.area, np.abs(result.data["approach"]).max()
+    load = state.pressure * result.line.area
+    least = _ROUND_OFF * np.abs(result.data["approach"]).max()
 
     def shown(depth: float) -> float:
-        return 1e3 * depth if abs(depth) >= _ROUND_OFF * least else 0.0
+        return 1e3 * depth if abs(depth) >= least else 0.0
 
     total = float(result.data["penetration"][-1])
     yield "penetration", "total", shown(total), "um"
@@ -293,30 +267,18 @@ def _worn(result: Result, state: Last, i: int, ends: Mapping[str, float]) -> Ite
 
 
 def _layers(result: Result, state: Last, i: int) -> Iterator[_Row]:
-    """Yield the wear of the layers of a body, nothing of one without.
-
-    Time and place of the first wear through a layer are as stored states show them; the time of
-    all layers is exact.
-    """
-    body, line, data = BODIES[i], result.line, result.data
+    """Yield the wear of the layers of a body, nothing of one without."""
+    body, data = BODIES[i], result.data
     if f"share_through_{body}" not in data:
         return
     *volumes, itself = data[f"worn_volume_{body}_layers"][-1].tolist()
     for layer, volume in enumerate(volumes):
         yield f"{body}_volume_layer_{layer}", f"volume of layer {layer}", volume, "mm3"
     yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
-    wear, times = data.get(f"wear_{body}"), data["time"]
-    if wear is None or wear.ndim == 1:
-        wear, times = state.wear[i][None], np.array([state.time])
     for layer, end in enumerate(data[f"layer_end_{body}"]):
-        gone = wear >= end * (1.0 - _ON)
-        if gone.any():
-            first, label = int(gone.any(axis=1).argmax()), f"area without layer {layer}"
-            r = line.r[np.where(gone[first], wear[first] - end, -np.inf).argmax()]
-            through, percent = f"through_layer_{layer}", 100.0 * share(line.area, gone[-1])
-            yield f"{body}_share_{through}", label, percent, "%"
-            yield f"{body}_time_{through}", f"{label}, first by time", times[first], "s"
-            yield f"{body}_r_{through}", f"{label}, first at radius", r, "mm"
+        if (gone := state.wear[i] >= end * (1.0 - _ON)).any():
+            percent = 100.0 * share(result.line.area, gone)
+            yield f"{body}_share_through_layer_{layer}", f"area without layer {layer}", percent, "%"
     label, percent = "area without layers", 100.0 * data[f"share_through_{body}"][-1]
     yield f"{body}_share_through", label, percent, "%"
     time = result.attributes.get(f"time_through_{body}", np.nan)
@@ -343,13 +305,11 @@ def _pressures(result: Result, contact: Last) -> Iterator[_Row]:
     yield "touching", "elements in contact", touching, "", note, ".0f"
 
 
-def _stresses(result: Result, last: Last) -> list[KeyNumber]:
+def _stresses(result: Result) -> list[KeyNumber]:
     """Return the largest stress of each body and its layers at the last state that has stresses."""
     if (history := result.stress) is None:
         return []
-    state, rows = history.states[-1], list[_Row]()
-    beside_edge = edge_elements(last.pressure) & (state.time == last.time)
-    group = "largest von Mises stress"
+    state, rows, group = history.states[-1], list[_Row](), "largest von Mises stress"
     if state.time != result.data["time"][-1]:
         group += f" at t = {state.time:g} s"
     if history.exclude:
@@ -357,11 +317,8 @@ def _stresses(result: Result, last: Last) -> list[KeyNumber]:
     for body, largest, layers in zip(BODIES, state.largest, state.layers, strict=True):
         if np.isfinite(largest.mises):
             place = f"at r = {largest.r:.6g}, z = {largest.z:.6g} mm"
-            element = int(result.line.element_at(np.array([largest.r]))[0])
-            if element >= 0 and beside_edge[element]:
-                place += ", at an edge of contact"
             rows.append((f"{body}_mises", body, largest.mises, "MPa", place))
-        for i, value in enumerate(np.asarray(layers).tolist()):
+        for i, value in enumerate(layers.tolist()):
             label = f"layer {i} of {body}" if i < len(layers) - 1 else f"{body} itself"
             note = "nothing of it is left there" if np.isnan(value) else ""
             rows.append((f"{body}_mises_{i}", label, value, "MPa", note))

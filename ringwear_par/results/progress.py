@@ -23,7 +23,7 @@ class Progress:
     """
 
     def __init__(self, total: float | None = None, start: float = 0.0, pause: float = 0.2) -> None:
-        self._begun = self._last = time.perf_counter()
+        self._last = time.perf_counter()
         self._bar: Any = None
         terminal = sys.stderr.isatty()
         self._pause = pause if terminal else PROGRESS_SECONDS

@@ -161,10 +161,9 @@ class Recorder:
         failed = [number in failures for number in range(count)]
         stops = [() if bad else self._stops.get(i, {}) for i, bad in enumerate(failed)]
         warnings = warnings_of_histories(self._cases, self._worst.measures, self._stresses, failed)
-        through, normal_work = np.full((2, count), np.inf), np.full(count, np.nan)
+        through = np.full((2, count), np.inf)
         for number, (instant, place) in self._ended.items():
             through[:, number] = instant.state.through[place]
-            normal_work[number] = instant.state.normal_work[place]
         rows, whole = self._rows.columns(), times_through(self._cases[0], through)
         # cases ask for the same stresses, or for none
         histories = [self._stresses.history(number) for number in range(count)]
@@ -189,7 +188,7 @@ class Recorder:
             stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
             whole=whole,
         )
-        numbers = end_numbers(self._cases, columns, normal_work)
+        numbers = end_numbers(self._cases, columns)
         return replace(columns, whole={**columns.whole, **numbers}), warnings
 
     # -- results -----------------------------------------------------------------------------------

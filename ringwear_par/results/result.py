@@ -74,12 +74,11 @@ class Outcome:
 class Last:
     """The last state of a history."""
 
-    #: s, number of steps made, N, mm, and N mm, pressure times sliding speed over area and time
+    #: s, number of steps made, N, mm
     time: float
     steps: int
     force: float
     approach: float
-    normal_work: float
     #: (n,) MPa; (2, n) mm and mm/s of lower and upper
     pressure: FloatArray
     wear: FloatArray
@@ -91,7 +90,7 @@ class Last:
         return cls(
             float(state.time[0]), int(state.steps[0]),
             float(state.pressure[0] @ block.line.area), float(state.approach[0]),
-            float(state.normal_work[0]), state.pressure[0], block.both(state.wear)[:, 0],
+state.pressure[0], block.both(state.wear)[:, 0],
             block.both(state.rates)[:, 0],
         )  # fmt: skip
 
@@ -242,8 +241,8 @@ class Result(Outcome):
     def save(self, path: str | Path) -> None:
         """Write its file, see ``Outcome.save``.
 
-        Not collective: the process that calls this writes. Where several have the same result and
-        write the same file, it is whole at any time, and in the end that of one of them.
+        Where several processes have the same result and write the same file, it is whole at any
+        time, and in the end that of one of them.
         """
         from ringwear_par.results.files import write_result
 
@@ -325,7 +324,7 @@ class HistoryColumns:
 
 
 def case_attributes(case: Case, time: float) -> dict[str, Any]:
-    """Return the attributes of a case whose history has come to a time (s). Not collective."""
+    """Return the attributes of a case whose history has come to a time (s)."""
     density: dict[str, Any] = {}
     for body, ring in zip(BODIES, case.rings, strict=True):  # g/mm3, or NaN
         if ring.density is not None:

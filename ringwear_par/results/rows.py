@@ -77,6 +77,7 @@ VALUES: Mapping[str, Value] = {
     "torque": lambda block, state: block.friction.at(state.time) * block.moment(state.pressure),
     "twist": _twist,
     "dissipated_energy": lambda block, state: state.energy,
+    "normal_work": lambda block, state: state.normal_work,
     "pressure": lambda block, state: state.pressure,
     "gap": _gap,
     **{

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import FACES, SIDES
+from ringwear_par.elasticity.stress.fields import COMPONENTS, FACES, SIDES
 
 if TYPE_CHECKING:
     import xarray
@@ -98,10 +98,15 @@ def _of_bodies(*rows: Sequence[str]) -> dict[str, Variable]:
 
 
 def axis(name: str) -> Variable:
-    """Return the coordinate of an axis whose entries are numbered from 0."""
-    return Variable(name, (name,), "1", f"number of the {name.replace('_', ' ')}", integer=True)
+    """Return the coordinate of an axis, whose entries are words or numbered from 0."""
+    meaning = name if name in WORDS else f"number of the {name.replace('_', ' ')}"
+    return Variable(name, (name,), "1", meaning, integer=name not in WORDS)
 
 
+#: components of vectors; of places the first two
+DIRECTIONS = ("r", "z", "theta")
+#: entries of axes that are words
+WORDS = {"component": COMPONENTS, "side": SIDES, "plane": DIRECTIONS[:2], "direction": DIRECTIONS}
 ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
 # fmt: off
 _AXES = _table(
@@ -111,11 +116,6 @@ _AXES = _table(
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
     ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
      "int"),
-    # words along axes
-    ("component", "component", "1", "component of stress"),
-    ("side", "side", "1", "side of an interface"),
-    *((f"boundary/{body}/{name}", name, "1", f"component of {what}")
-      for body in BODIES for name, what in (("plane", "a place"), ("direction", "a vector"))),
 )
 #: the contact line
 LINE = _table(
@@ -132,6 +132,7 @@ HISTORIES = _table(
     ("twist", "step", "mm", "area mean of the circumferential displacement jump"),
     *((f"worn_volume_{body}", "step", "mm3", f"volume lost by the {body} ring") for body in BODIES),
     ("dissipated_energy", "step", "N mm", "energy dissipated by friction"),
+    ("normal_work", "step", "N mm", "contact pressure times sliding distance, over the contact"),
     ("contact_iterations", "step", "1",
      "iterations of the contact solver since the last stored step", "int"),
 )
@@ -314,7 +315,7 @@ def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
 def edge_elements(pressure: FloatArray) -> BoolArray:
     """Return where elements lie beside an edge of contact: the last closed and the first open one.
 
-    Contact that reaches an end of the contact line has no such element there. Not collective.
+    Contact that reaches an end of the contact line has no such element there.
 
     Parameters
     ----------

@@ -130,7 +130,7 @@ def spring(stiffness):
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_springs_have_a_closed_form(name):
-    """p = (d - gap) / c where positive, c the compliance and the wear of the step per MPa."""
+    """P = (d - gap) / c where positive, c the compliance and the wear of the step per MPa."""
     bed = spring(2e3)
     x, area = np.linspace(0.0, 1.0, 12), bed.line.area
     gap = 0.01 * x[None] ** 2
@@ -259,9 +259,10 @@ def test_the_solver_of_one_history_is_an_option(paper):
 def test_the_loops_in_c_are_vectorised(paper):
     """80 products of each history, against as many by NumPy: a plain loop takes 4 times longer."""
     block, _ = drawn((paper_case(Mesh(64)), assemble(paper_case(Mesh(64)), ALONE)), 50, 4)
-    compliance, n = Compliance.of(
-        block.line, block.compliance.pair, np.ones_like(block.compliance.softness)
-    ), 64
+    compliance, n = (
+        Compliance.of(block.line, block.compliance.pair, np.ones_like(block.compliance.softness)),
+        64,
+    )
     matrix, inverse = compliance.matrix(0), 1.0 / compliance.diagonal
     rng = np.random.default_rng(0)
     gap, x, none = rng.normal(size=(50, n)), np.empty((50, n)), np.zeros((50, n))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import Stepping, trace, young
+from parts import Stepping, trace
 from paths import CASES
 from reference_cases import paper_case
 
@@ -13,23 +13,10 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Section
 
 
-def compliance_of(case, comm):
-    return rw.assemble(case, comm).compliance(young(case))
-
-
 def with_faces(case, lower=(), upper=()):
     return replace(
         case, lower=replace(case.lower, face=lower), upper=replace(case.upper, face=upper)
     )
-
-
-def test_faces_that_are_flat_change_nothing(comm):
-    case = paper_case(Mesh(32), pressure=50.0)
-    plain = compliance_of(case, comm)
-    straight = with_faces(case, ((20.0, 0.0), (30.0, 0.0), (40.0, 0.0)), ((28.5, 0.0), (31.5, 0.0)))
-    same = compliance_of(straight, comm)
-    assert np.array_equal(same.matrix, plain.matrix)
-    assert np.array_equal(same.line.edges, plain.line.edges)
 
 
 def test_pressure_is_continuous_in_a_vanishing_chamfer(comm):
@@ -69,12 +56,11 @@ def test_partly_overlapping_rings(comm):
     assert case.contact == (38.0, 40.0)
     assert case.open_ends == (False, False)
     history = trace(case, comm)
-    pair, states = history.physics.compliances.every[0], history.states
-    assert pair.symmetry_defect < 1e-3
+    line, states = history.physics.line, history.states
     # the inner edge digs in, at the free end of the lower ring the pressure is small and regular
     p = states[0].contact.pressure
     assert p[0] > 10.0 * case.load.force / case.area
-    outer = p[pair.line.edges[-1] - pair.line.r < 0.05]
+    outer = p[line.edges[-1] - line.r < 0.05]
     assert np.all((outer > 0.4 * 80.0) & (outer < 0.55 * 80.0))
     assert np.abs(np.diff(outer) / outer[1:]).max() < 0.12
     assert history.balances.worst <= 1e-9

@@ -13,7 +13,7 @@ from wearing import ThresholdLaw as ThresholdLaw
 
 #: names by the module that they are in
 PLACES = {
-    "arrays": "derivative share",
+    "arrays": "derivative",
     "cases.case": "Load Output Ring RingLayer Stepping",
     "cases.files.law_trials": "refuse_bad_laws",
     "cases.files.reading": "make_case parse_case",
@@ -46,19 +46,18 @@ PLACES = {
     "pictures.run_panels": "HISTORY_PANELS",
     "prediction.predict": "draw_paces fit_draws",
     "prediction.prediction": "TimeTo times_at",
-    "reports.run_page": "profiles",
     "reports.spreadsheets": "export",
     "results.recorder": "Recorder",
     "results.run": "run_case",
     "results.signals": "StopSignals",
     "results.key_numbers": "key_numbers",
     "results.files": "restored",
-    "results.variables": "HISTORIES PROFILES",
+    "results.variables": "HISTORIES PROFILES edge_elements",
     "schedules": "Table bends in_time integral",
     "studies.many": "results_of",
     "studies.sweep": "run_sweep",
     "studies.together": "computed",
-    "studies.pictures.plot": "plot_stored",
+    "studies.plot": "plot_stored",
     "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging threshold",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}

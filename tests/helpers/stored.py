@@ -22,3 +22,18 @@ def assert_same(whole, parts):
         floats = np.asarray(value).dtype.kind == "f"
         assert np.array_equal(value, two[name], equal_nan=floats), name
     return one
+
+
+def attributes(path):
+    """Attributes of a file and of its groups, but for what the computer needed."""
+    found = {}
+
+    def take(place, item):
+        for name, value in item.attrs.items() if isinstance(item, h5py.Group) else ():
+            if "seconds" not in name:
+                found[f"{place}/{name}"] = np.asarray(value).tolist()
+
+    with h5py.File(path) as file:
+        take("", file)
+        file.visititems(take)
+    return found

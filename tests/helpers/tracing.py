@@ -13,8 +13,8 @@ from ringwear_par.history.block import Block
 from ringwear_par.history.checks import Worst
 from ringwear_par.history.elastic import assemble
 from ringwear_par.history.following import Following
-from ringwear_par.history.loop import simulate
 from ringwear_par.history.loop import first_contact as of_block
+from ringwear_par.history.loop import simulate
 
 ALONE = MPI.COMM_SELF
 
@@ -61,7 +61,9 @@ def state_of(block, state, number=0):
     both = replace(state, wear=block.both(state.wear), rates=block.both(state.rates))
     meshed = None if state.meshed is None else block.both(state.meshed)[:, number]
     values = vars(one(both, number))
-    own = {n: float(v) if isinstance(v, np.ndarray) and not v.ndim else v for n, v in values.items()}
+    own = {
+        n: float(v) if isinstance(v, np.ndarray) and not v.ndim else v for n, v in values.items()
+    }
     p = own["pressure"]
     gap = block.compliance.gap(block.worn_gap(state.wear), state.pressure, state.approach)[number]
     force = float(block.line.area @ p)

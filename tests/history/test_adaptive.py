@@ -18,11 +18,11 @@ from parts import (
     integral,
 )
 from reference_cases import OMEGA
-
-import ringwear_par as rw
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
+
+import ringwear_par as rw
 from ringwear_par.history.schemes import sdirk2
 
 FORCE = 45238.934

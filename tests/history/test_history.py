@@ -8,12 +8,11 @@ import pytest
 from mpi4py import MPI
 from parts import Load, Mesh, Stepping, ThresholdLaw
 from reference_cases import paper_case
-
-from ringwear_par.history.elastic import young
-from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.stable_steps import stable_steps
+
+from ringwear_par.history.elastic import assemble, young
 
 
 @pytest.fixture

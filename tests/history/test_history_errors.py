@@ -8,10 +8,10 @@ from changed_steps import change_steps
 from mpi4py import MPI
 from parts import Mesh, Output, PowerLaw, RunningInLaw, Stepping, ThresholdLaw
 from reference_cases import paper_case
+from ringwear_par.history.observers.trace import trace
 
 import ringwear_par as rw
 from ringwear_par.history.elastic import assemble
-from ringwear_par.history.observers.trace import trace
 
 ALONE = MPI.COMM_SELF
 LAWS = {

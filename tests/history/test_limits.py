@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from parts import Mesh
 from reference_cases import paper_case
+from ringwear_par.history.refusals.cases import check_memory, memory_needed
 
 import ringwear_par as rw
-from ringwear_par.history.refusals.cases import check_memory, memory_needed
 
 
 @pytest.mark.parametrize("n", [64, 128])

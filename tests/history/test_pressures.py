@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from parts import ArchardLaw, Closing, Output, WearIncrement
 from paths import CASES
+from ringwear_par.history.observers.trace import trace
 
 import ringwear_par as rw
 from ringwear_par.history.elastic import assemble
-from ringwear_par.history.observers.trace import trace
 
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
 

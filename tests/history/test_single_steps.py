@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from parts import Mesh
 from reference_cases import paper_case
-
-from ringwear_par.history.elastic import assemble
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
+
+from ringwear_par.history.elastic import assemble
+from ringwear_par.history.schemes import euler, sdirk2
 
 SCHEMES = {"explicit": euler.forward, "implicit": euler.backward, "adaptive": sdirk2.step}
 

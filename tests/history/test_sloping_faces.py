@@ -20,16 +20,15 @@ from parts import (
 )
 from paths import CASES, PAPER
 from reference_cases import CONTACT, Rings, ring_case
-from wearing import sliding
-
-import ringwear_par as rw
-from ringwear_par.history.elastic import bodies
-from ringwear_par.history.elastic import assemble, updated_geometry
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
+from wearing import sliding
+
+import ringwear_par as rw
+from ringwear_par.history.elastic import assemble, bodies, updated_geometry
+from ringwear_par.history.schemes import euler, sdirk2
 
 CHAMFER = CASES / "chamfer.toml"
 DEGREES = 10.0

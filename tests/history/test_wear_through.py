@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from paths import CASES
+from ringwear_par.history.observers.trace import trace
 
 import ringwear_par as rw
 from ringwear_par.history.elastic import assemble
-from ringwear_par.history.observers.trace import trace
 
 CASE = CASES / "wear_through.toml"
 ALONE = MPI.COMM_SELF

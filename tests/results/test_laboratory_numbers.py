@@ -33,7 +33,8 @@ def case():
 
 
 def test_they_are_as_defined(case):
-    data = rw.simulate(case, MPI.COMM_SELF).to_xarray()
+    result = rw.simulate(case, MPI.COMM_SELF)
+    data = result.to_xarray()
     t = data.time.values
     assert data.sliding_distance.values == pytest.approx(1e-3 * RADIUS * (t + 0.01 * t**2))
     assert data.mass_lost_lower.values == pytest.approx(7.85 * data.worn_volume_lower.values)
@@ -45,6 +46,18 @@ def test_they_are_as_defined(case):
     # of Archard's law the rate is k p V, so that it is 1000 k in mm3/(N m) at all times
     assert data.specific_wear_rate_lower.values[1:] == pytest.approx(1e3 * K, rel=1e-9)
     assert not {"mass_lost_upper", "specific_wear_rate_upper"} & set(data)
+    # the last ones in words, with what else a tribologist asks for
+    numbers = result.to_dict()["numbers"]
+    for name, variable in KEY_NUMBERS.items():
+        exact = {"value": float(data[name][-1]), "unit": data[name].units}
+        assert numbers[variable] == exact
+    for name, value in (
+        ("speed", 3.0 * RADIUS), ("torque", 1e-3 * data.torque[-1]),
+        ("dissipated_energy", 1e-3 * data.dissipated_energy[-1]),
+        ("largest_pressure", data.pressure[-1].max()),
+    ):  # fmt: skip
+        assert numbers[name]["value"] == pytest.approx(float(value), rel=1e-12)
+    assert "1e-05 mm3/(N m)" in result.summary()
 
 
 def test_friction_may_be_a_table(case):
@@ -55,7 +68,7 @@ def test_friction_may_be_a_table(case):
     ends = {number.name: number.value for number in key_numbers(result)}
     assert rates[-1] == pytest.approx(ends["lower_specific_rate"], rel=1e-12)
     energy = result.histories["dissipated_energy"][-1]
-    work = float(result.checkpoint.last.normal_work)
+    work = float(result.histories["normal_work"][-1])
     assert energy / work == pytest.approx(0.29, abs=0.02)
 
 

@@ -1,17 +1,16 @@
-"""Results in memory: the dataset of their file, bit for bit; saved, opened, light to import."""
+"""Results: the dataset of their file, bit for bit; saved, opened; their numbers and summary."""
 
 import json
 import pickle
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 import xarray
 from mpi4py import MPI
 from parts import HISTORY_PANELS
-from paths import CASES, PAPER
-from stored import assert_same
+from paths import CASES, PAPER, ROOT
+from stored import assert_same, attributes
 
 import ringwear_par as rw
 from ringwear_par.results.files import open_result
@@ -20,17 +19,6 @@ from ringwear_par.results.variables import EDGE_ELEMENT, PROFILES, VARIABLES, ax
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 FIELDS = ["mesh.contact_elements=16", "time.end=20", "output.times=[5, 10]"]
-
-
-def attributes(path):
-    """Every attribute of every group, but the references that dimension scales are."""
-    with h5py.File(path) as file:
-        groups = {"/": file}
-        file.visititems(lambda name, item: groups.update({name: item}))
-        return {
-            name: {k: v for k, v in item.attrs.items() if not k.isupper() and k[0] != "_"}
-            for name, item in groups.items()
-        }
 
 
 @pytest.fixture
@@ -69,10 +57,15 @@ def test_the_dataset_is_that_of_the_file(computed, case, words):
         last = "output.profiles=last" in words and name in fields
         assert values.dims == (variable.at_last_step() if last else variable).dimensions
     assert set(stored.coords) == {"step", "element", "time", "r", "width"}
+    if "output.every=8" in words:  # and fields
+        assert stored.step.values.tolist() == stored.time.values.tolist() == [0, 8, 16, 20]
+        assert "pressure" not in stored
+        assert stored.contact_iterations.sum() >= 20
 
 
 @pytest.mark.parametrize("extra", [[], ["mesh.geometry=updated", "wear.lower.k=1e-6"]])
 def test_saved_and_opened_it_is_the_same(computed, tmp_path, extra):
+    """Sent to another process, too."""
     path, result = computed("fields.toml", [*FIELDS, *extra])
     again, copy = open_result(str(path)), tmp_path / "copy.h5"
     again.save(str(copy))
@@ -84,51 +77,21 @@ def test_saved_and_opened_it_is_the_same(computed, tmp_path, extra):
     assert again.balances == result.balances
     assert 0.0 < result.balances["torque"] < 0.01
     assert result.balances["force"] < 1e-10
+    assert pickle.loads(pickle.dumps(result)).to_dict() == again.to_dict()
 
 
-@pytest.mark.parametrize("words", [["output.boundary=all"], []])
-def test_all_groups_open_as_a_tree(computed, words):
+def test_all_groups_open_as_a_tree(computed):
     """Also with warnings as errors, so without axes that have no name."""
-    path, _ = computed("fields.toml", [*FIELDS, *words])
+    path, _ = computed("fields.toml", FIELDS)
     with xarray.open_datatree(path, engine="h5netcdf") as tree:
         assert {"boundary", "checkpoint", "line"} == set(tree.children)
+        assert tree["line/edges"].size == 17
         for body in ("lower", "upper"):
             group = tree[f"boundary/{body}"]
-            assert group.sizes["boundary_node"] == 2 * group.sizes["boundary_element"]
+            assert group.sizes["boundary_node"] == 2 * group.sizes["boundary_element"]  # closed
             assert not {"step", "element"} & {d for v in group.data_vars for d in group[v].dims}
             assert group["nodes"].dims == ("boundary_step", "boundary_node", "plane")
             assert group["traction"].dims == ("boundary_step", "boundary_element", "direction")
-        assert tree["line/edges"].size == 17
-
-
-def test_results_travel_to_other_processes(tmp_path, comm):
-    result = rw.simulate(rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2}), comm)
-    again = pickle.loads(pickle.dumps(result))
-    assert np.array_equal(again.histories["approach"], result.histories["approach"])
-    assert again.to_dict() == result.to_dict()
-
-
-def test_the_summary_has_a_tribologists_numbers():
-    """Archard's law: specific wear rate k, rates k p V, hours and grams as they are defined."""
-    changes = {
-        "wear.lower": None, "wear.lower.law": "archard", "wear.lower.k": "1e-5 mm3/(N m)",
-        "lower.density": "7.85 g/cm3", "load.pressure": 20.0, "load.omega": "60 rpm",
-        "upper.profile": {"crown": 2000.0}, "mesh.contact_elements": 16, "time.steps": 20,
-    }  # fmt: skip
-    result = rw.simulate(rw.read_case(PAPER, changes), MPI.COMM_SELF)
-    numbers, ends, speed = result.to_dict()["numbers"], result.histories, 2.0 * np.pi * 30.0
-    for name, unit, value in (
-        ("largest_pressure", "MPa", result.checkpoint.last.pressure.max()),
-        ("torque", "N m", 1e-3 * ends["torque"][-1]),
-        ("dissipated_energy", "J", 1e-3 * ends["dissipated_energy"][-1]),
-        ("speed", "mm/s", speed),
-        ("p_v", "MPa m/s", 20e-3 * speed),
-        ("distance", "m", 20e-3 * speed),
-        ("lower_specific_rate", "mm3/(N m)", 1e-5),
-        ("lower_mass", "mg", 7.85 * ends["worn_volume_lower"][-1]),
-    ):
-        assert numbers[name] == {"value": pytest.approx(value, rel=1e-9), "unit": unit}
-    assert "1e-05 mm3/(N m)" in result.summary()
 
 
 def test_elements_beside_an_edge_of_contact_are_marked(computed):
@@ -144,19 +107,18 @@ def test_elements_beside_an_edge_of_contact_are_marked(computed):
     assert not marked.any()
 
 
-def test_the_numbers_of_a_run_are_data(computed):
-    """Also of a run that failed, whose summary says why."""
+def test_the_numbers_of_a_failed_run_are_data(computed):
+    """Its summary says why it failed."""
     _, result = computed("paper.toml", SMALL)
     about = {**result.attributes, "status": "incomplete", "error": "a step failed"}
-    for run in (result, replace(result, attributes=about)):
-        numbers = [*key_numbers(run), *check_numbers(run)]
-        data = json.loads(json.dumps(run.to_dict()))
-        assert [*data["numbers"]] == [number.name for number in numbers]
-        for number in numbers:
-            known = number.value if number.known else None
-            assert data["numbers"][number.name]["value"] == known
+    failed = replace(result, attributes=about)
+    data = json.loads(json.dumps(failed.to_dict()))
+    assert data["numbers"] == {
+        number.name: {"value": number.value if number.known else None, "unit": number.unit}
+        for number in (*key_numbers(failed), *check_numbers(failed))
+    }
     assert (data["status"], data["error"]) == ("incomplete", "a step failed")
-    assert "warning: failed after step 20 of 20: a step failed" in run.summary()
+    assert "warning: failed after step 20 of 20: a step failed" in failed.summary()
 
 
 def test_key_numbers_do_not_depend_on_where_elements_are():
@@ -206,3 +168,17 @@ def test_tables_of_many_points_are_stored(tmp_path):
     assert stored.case == result.case
     (p_v,) = HISTORY_PANELS["pv"].curves(stored).values()
     assert p_v == pytest.approx(50.0 * 3.5 * 0.03 * (1.0 + 1e-3 * stored.histories["time"]) ** 2)
+
+
+def test_notebooks_show_outcomes():
+    """Their numbers and one picture; of a study what it varies."""
+    keys = {"mesh.contact_elements": 8, "time.steps": 2}
+    result = rw.simulate(rw.read_case(PAPER, keys))
+    measured = rw.measure(ROOT / "scripts/measure/measure.toml")
+    for outcome, words in ((result, ("penetration", "torque")), (measured, ("wear rate",))):
+        html = outcome._repr_html_()
+        assert html.count('<img src="data:image/png;base64,') == 1
+        assert all(word in html for word in words)
+    study = rw.read_study(CASES / "study.toml")._repr_html_()
+    assert study.count("<svg") == 1
+    assert "0, 20, 40" in study

@@ -1,9 +1,8 @@
-"""Stresses in results: files, geometry that follows the wear, doubts, pictures."""
+"""Stresses in results: files, interfaces, wear, geometry that follows it, doubts, exports."""
 
 import numpy as np
 import pytest
-from last_states import with_last_pressure
-from parts import COMPONENTS, max_shear, mises, principal
+from parts import COMPONENTS, SIDES, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
@@ -15,40 +14,60 @@ BASE = {
     "stress.points": [[30.0, 19.9], [30.0, 20.0, "above"], [30.0, 22.0]],
     "stress.grid": {"r": [28.0, 32.0], "z": [19.0, 21.0], "n": [9, 7]},
 }  # fmt: skip
+LAYERED = {
+    "mesh.contact_elements": 24, "time.steps": 2, "contact.friction": 0.3,
+    "stress.points": [[30.0, 19.0]], "stress.grid": None,
+}  # fmt: skip
+HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
+SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}
 
 
-def case_of(**more):
+def case_of(base=None, **more):
     changes = {key.replace("__", "."): value for key, value in more.items()}
-    return rw.read_case("scripts/cases/paper.toml", {**BASE, **changes})
+    return rw.read_case("scripts/cases/paper.toml", {**BASE, **(base or {}), **changes})
 
 
-def same(one, other):
-    """The stresses of two results are the same."""
-    assert one.stress.sides == other.stress.sides
-    for a, b in zip(one.stress.states, other.stress.states, strict=True):
+def both_bodies(**more):
+    layers = {"lower__layers": [HARD, {**SOFT, "young": 5e4}], "upper__layers": [SOFT]}
+    return case_of(LAYERED, **{**layers, **more})
+
+
+@pytest.fixture(scope="module")
+def plain(comm):
+    return rw.simulate(case_of(stress__times="all"), comm)
+
+
+@pytest.fixture(scope="module")
+def layered(comm):
+    return rw.simulate(both_bodies(stress__times="all"), comm)
+
+
+@pytest.fixture(params=["plain", "layered"])
+def result(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_saved_and_opened_they_are_the_same(result, tmp_path):
+    result.save(tmp_path / "run.h5")
+    stored = rw.open_result(tmp_path / "run.h5")
+    assert stored.to_xarray().equals(result.to_xarray())
+    assert stored.stress.sides == result.stress.sides
+    for a, b in zip(stored.stress.states, result.stress.states, strict=True):
         assert (a.step, a.time, a.largest) == (b.step, b.time, b.largest)
-        for name in ("points", "grid", "surface"):
-            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-        for name in ("interfaces", "layers"):
-            for one_body, other_body in zip(getattr(a, name), getattr(b, name), strict=True):
-                np.testing.assert_array_equal(one_body, other_body)
+        for name in ("points", "grid", "surface", "interfaces", "layers"):
+            np.testing.assert_equal(list(getattr(a, name)), list(getattr(b, name)))
 
 
-def test_variables_and_file(tmp_path):
-    result = rw.simulate(case_of(stress__times="all"))
-    path = tmp_path / "run.h5"
-    result.save(path)
-    same(rw.open_result(path), result)
-    data = result.to_xarray()
+def test_variables(plain):
+    data = plain.to_xarray()
     assert data.stress.point_side.values.tolist() == ["", "above", ""]
     assert data.stress.sizes == {"stress_step": 7, "point": 3, "component": 6}
     assert data.component.values.tolist() == list(COMPONENTS)
     assert data.stress_grid.dims == ("stress_step", "grid_r", "grid_z", "component")
     assert data.stress.units == "MPa"
     assert data.stress_time.values.tolist() == data.time.values.tolist()
-    np.testing.assert_array_equal(data.mises, mises(data.stress.values))
-    np.testing.assert_array_equal(data.max_shear, max_shear(data.stress.values))
-    np.testing.assert_array_equal(data.principal, principal(data.stress.values))
+    for name, measure in (("mises", mises), ("max_shear", max_shear), ("principal", principal)):
+        np.testing.assert_array_equal(data[name], measure(data.stress.values))
     assert data.point_z.values.tolist() == [19.9, 20.0, 22.0]
     # bodies and holes of the grid, edges of contact among them
     known = np.isfinite(data.mises_grid.values[0])
@@ -56,66 +75,158 @@ def test_variables_and_file(tmp_path):
     assert known[:, 3].sum() == 7
     assert known[:, 4:].sum() == 7 * 3
     # stress follows the pressure
-    pressure = data.pressure.values
     for name in ("lower", "upper"):
         zz = data[f"surface_stress_{name}"].sel(component="zz").values
-        np.testing.assert_allclose(zz, -pressure, rtol=1e-10)
+        np.testing.assert_allclose(zz, -data.pressure.values, rtol=1e-10)
     both = np.maximum(data.max_mises_lower, data.max_mises_upper)
     np.testing.assert_array_equal(data.max_mises, both)
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
 
 
-@pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
-def test_many_cases_have_the_stresses_of_single_ones(times, comm):
-    case = case_of(stress__times=times, output__times=[10.0, 60.0], contact__friction=0.2)
-    changes = [{"load.pressure": 50.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
-               {"mesh.geometry": "updated", "mesh.geometry_tolerance": 1.0}]  # fmt: skip
-    cases = [case.replace(change) for change in changes]
-    for each, mine in zip(cases, rw.simulate_all(cases, comm), strict=True):
-        single = rw.simulate(each, comm)
-        assert [d.code for d in mine.doubts] == [d.code for d in single.doubts]
-        for a, b in zip(mine.stress.states, single.stress.states, strict=True):
-            assert (a.step, a.time) == (b.step, pytest.approx(b.time, rel=1e-12))
-            np.testing.assert_allclose(a.points, b.points, rtol=0, atol=2e-4 * 50.0)
-            np.testing.assert_allclose(a.grid, b.grid, rtol=0, atol=2e-4 * 50.0)
+def test_variables_of_layers(layered):
+    """The largest of the layer that has the body's largest is the same."""
+    data, numbers = layered.to_xarray(), layered.to_dict()["numbers"]
+    assert data.interface_stress_lower.dims == (
+        "stress_step", "interface_lower", "side", "interface_element_lower", "component",
+    )  # fmt: skip
+    assert data.side.values.tolist() == ["above", "below"]
+    assert data.interface_z_lower.values == pytest.approx([19.95, 19.75])
+    assert data.interface_z_upper.values == pytest.approx([20.2])
+    stress = data.interface_stress_upper.values
+    np.testing.assert_array_equal(data.interface_mises_upper, mises(stress))
+    assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
+    assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
+    for state in layered.stress.states:
+        for own, largest in zip(state.layers, state.largest, strict=True):
+            assert own.max() == own[largest.layer] == largest.mises
+    for layer, value in enumerate(layered.stress.states[-1].layers[0]):
+        assert numbers[f"lower_mises_{layer}"] == {"value": value, "unit": "MPa"}
 
 
-def test_geometry_that_follows_the_wear():
-    fixed = rw.simulate(case_of(stress__times="all"))
-    moved = rw.simulate(case_of(stress__times="all", mesh__geometry="updated"))
-    first, last = moved.stress.states[0], moved.stress.states[-1]
-    np.testing.assert_allclose(first.points, fixed.stress.states[0].points, rtol=1e-9, atol=1e-9)
-    assert mises(last.points) == pytest.approx(mises(fixed.stress.states[-1].points), rel=1e-2)
-    assert not np.array_equal(last.points, fixed.stress.states[-1].points)
+def test_force_and_torque_go_through_every_interface(layered):
+    """Layers are free at their sides: what the contact bears must go on, however often."""
+    last = layered.stress.states[-1]
+    force, torque = (layered.histories[name][-1] for name in ("force", "torque"))
+    for body, (line, end) in enumerate(zip(layered.stress.interfaces, (20.0, 28.5), strict=True)):
+        ends = [end]  # of the elements, from the inner one on
+        for r in line.r:
+            ends.append(2.0 * r - ends[-1])
+        area = np.pi * np.diff(np.square(ends))
+        for stress in (side for sides in last.interfaces[body] for side in sides):
+            assert -(stress[:, 2] @ area) == pytest.approx(force, rel=2e-3)
+            assert stress[:, 5] @ (area * line.r) == pytest.approx(torque, rel=2e-3)
+            assert abs(stress[:, 3] @ area) < force
 
 
-def test_points_that_wear_takes_away_have_no_stress():
-    case = case_of(
+def test_points_on_a_side_have_the_same(layered, comm):
+    known, last = layered.stress, layered.stress.states[-1]
+    asked = [
+        (body, number, k, side)
+        for body, of in enumerate(known.interfaces)
+        for number in range(len(of.z))
+        for k in (3, len(of.r) // 2)
+        for side in (0, 1)
+    ]
+    points = [
+        [known.interfaces[b].r[k], known.interfaces[b].z[i], SIDES[side]] for b, i, k, side in asked
+    ]
+    found = rw.simulate(both_bodies(stress__points=points), comm).stress.states[-1].points
+    for (b, i, k, side), stress in zip(asked, found, strict=True):
+        np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
+
+
+def test_geometry_that_follows_the_wear(plain):
+    """Points that wear takes away have no stress any more."""
+    fixed = plain.stress.states
+    moved = rw.simulate(case_of(stress__times="all", mesh__geometry="updated")).stress.states
+    np.testing.assert_allclose(moved[0].points, fixed[0].points, rtol=1e-9, atol=1e-9)
+    assert mises(moved[-1].points) == pytest.approx(mises(fixed[-1].points), rel=1e-2)
+    assert not np.array_equal(moved[-1].points, fixed[-1].points)
+    first, *_, last = rw.simulate(case_of(
         stress__times="all", stress__points=[[30.0, 19.9999], [30.0, 19.0]], stress__grid=None,
         mesh__geometry="updated", mesh__geometry_tolerance=1e-4, wear__lower__p0=0.0,
         wear__lower__k=1e-6, time__steps=3,
-    )  # fmt: skip
-    result = rw.simulate(case)
-    assert np.isfinite(result.stress.states[0].points).all()
-    assert np.isnan(result.stress.states[-1].points[0]).all()
-    assert np.isfinite(result.stress.states[-1].points[1]).all()
+    )).stress.states  # fmt: skip
+    assert np.isfinite(first.points).all()
+    assert np.isfinite(last.points).all(axis=1).tolist() == [False, True]
 
 
-def test_the_largest_stress_at_an_edge_is_doubted():
+# -- layers that are worn through ------------------------------------------------------------------
+
+
+def worn_through(geometry, **more):
+    """A thin hard coating after six steps, through in places."""
+    thin = {**HARD, "thickness": 0.003, "wear": {"law": "archard", "k": 5e-9}}
+    keys = {"mesh__geometry": geometry, "stress__times": "all", "time__steps": 6}
+    keys |= {"lower__layers": [thin], "time__step": 10.0}
+    result = rw.simulate(case_of(LAYERED, **keys, **more))
+    left = result.layers["layer_left_lower"]
+    assert 0 < np.count_nonzero(left[-1] == 0.0) < result.line.n
+    return result, left
+
+
+@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+def test_interfaces_have_no_stress_where_wear_has_come_through(geometry):
+    found, left = worn_through(geometry)
+    r = found.stress.interfaces[0].r
+    under = [int(np.abs(r - at).argmin()) for at in found.line.r]
+    for state, there in zip(found.stress.states, left > 0.0, strict=True):
+        known = np.isfinite(state.interfaces[0][0]).all(axis=(0, 2))
+        np.testing.assert_array_equal(known[under], there)
+        assert np.delete(known, under).all()
+
+
+def test_points_have_no_stress_in_layers_that_are_worn_through():
+    """Where a layer is only partly worn, and under it, they keep theirs: the shape is unworn."""
+    # mm, on the face, inside the layer, on both sides of its end and under it
+    heights = [[20.0, "below"], [19.9985], [19.997, "above"], [19.997, "below"], [19.98]]
+    points = [[r, *height] for r in case_of(LAYERED).line.r[::3].tolist() for height in heights]
+    grid = {"body": "lower", "r": [28.5, 31.5], "z": [19.9985, 20.0], "n": [31, 2]}
+    found, left = worn_through("fixed", stress__points=points, stress__grid=grid)
+    under = found.line.element_at(found.stress.grid[0])
+    for state, there in zip(found.stress.states, left > 0.0, strict=True):
+        known = np.isfinite(state.points).reshape(-1, len(heights), 6)
+        for number in (0, 1, 2):
+            np.testing.assert_array_equal(known[:, number].all(axis=1), there[::3])
+        assert known[there[::3]].all()
+        assert known[:, 3:].all()
+        np.testing.assert_array_equal(np.isfinite(state.surface[0]).all(axis=1), there)
+        assert np.isfinite(state.surface[1]).all()
+        on_grid = np.isfinite(state.grid).all(axis=2)
+        np.testing.assert_array_equal(on_grid[:, 0], there[under])
+        assert not on_grid[[0, -1], 1].any()  # edges of contact
+        np.testing.assert_array_equal(on_grid[1:-1, 1], there[under][1:-1])
+
+
+@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+def test_layers_that_are_gone_have_no_largest_stress(geometry):
+    film = {"thickness": 5e-4, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-6}}
+    changes = {"upper__layers": [film], "mesh__geometry": geometry, "stress__exclude": 0.05}
+    result = rw.simulate(case_of(**changes))
+    assert result.layers["share_through_upper"][-1] == 1.0
+    ((gone, left),) = (state.layers[1] for state in result.stress.states)
+    assert np.isnan(gone)
+    numbers = result.to_dict()["numbers"]
+    assert [numbers[f"upper_mises_{layer}"]["value"] for layer in (0, 1)] == [None, left]
+    assert "nan" not in result.summary()
+
+
+# -- where stress is infinite, and where it is known -----------------------------------------------
+
+
+def test_the_largest_stress_at_an_edge_is_doubted(layered):
     unworn = rw.simulate(case_of(stress__times="last", time__steps=1, time__step=1e-6))
     largest, _ = unworn.stress.states[-1].largest
-
-    def lower(of):
-        (found,) = (number for number in key_numbers(of) if number.name == "lower_mises")
-        return found
-
-    assert lower(unworn).value == largest.mises
+    (lower,) = (number for number in key_numbers(unworn) if number.name == "lower_mises")
+    assert lower.value == largest.mises
     assert any("stress.exclude" in doubt.text for doubt in unworn.doubts)
-    # contact that ends at the radius of the largest stress of lower has an edge element there
-    assert "edge of contact" not in lower(unworn).note
-    p = unworn.checkpoint.last.pressure.copy()
-    p[unworn.line.element_at(np.array([largest.r]))[0] + 1 :] = 0.0
-    assert "edge of contact" in lower(with_last_pressure(unworn, p)).note
+    # beside a free edge of an interface between two materials, too
+    (text,) = [doubt.text for doubt in layered.doubts if "free edge" in doubt.text]
+    assert "under upper.layers[0], at r = 28.5, z = 20.2 mm" in text
+    alike = {"thickness": 0.3, "young": 1e5, "poisson": 0.3}
+    for layers in ({"lower__layers": [HARD]}, {"upper__layers": [alike]}):
+        doubts = rw.simulate(case_of(LAYERED, **layers)).doubts
+        assert not any("free edge" in doubt.text for doubt in doubts)
 
 
 def test_hertz_like_crown_has_its_largest_stress_inside():
@@ -134,35 +245,6 @@ def test_hertz_like_crown_has_its_largest_stress_inside():
     assert not any("stress.exclude" in doubt.text for doubt in result.doubts)
 
 
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory, comm):
-    path = tmp_path_factory.mktemp("stresses") / "run.h5"
-    rw.simulate(case_of(stress__times="all", time__steps=4), comm).save(path)
-    return path
-
-
-def test_exports(stored, tmp_path):
-    state = rw.open_result(stored).stress.states[-1]
-    known = np.isfinite(state.grid).all(axis=-1)
-    export(stored, tmp_path / "a.vtkhdf")
-    data = last_state(tmp_path / "a.vtkhdf")
-    assert len(data["points"]) == known.sum()
-    assert data["mises"] == pytest.approx(mises(state.grid[known]))
-    assert data["stress_tz"] == pytest.approx(state.grid[known][:, 5])
-    # quadrangles of the grid, none across edges, where nothing is known
-    corners = data["points"][data["cells"]]
-    assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
-    assert np.ptp(corners[..., 2], axis=1) == pytest.approx(1.0 / 3.0)
-    openpyxl = pytest.importorskip("openpyxl")
-    export(stored, tmp_path / "a.xlsx")
-    header, *rows = openpyxl.load_workbook(tmp_path / "a.xlsx")["stress at points"].iter_rows(
-        values_only=True
-    )
-    first = header.index("stress[rr] (MPa)")
-    assert len(rows) == 5 * 3
-    assert rows[-1][first : first + 6] == pytest.approx(state.points[-1])
-
-
 def test_stresses_beside_the_contact_converge(comm):
     """The free face has elements for them, which pressures would not need."""
     beside = [[31.8, 19.9], [31.7, 19.95], [28.2, 19.9], [28.45, 19.95], [28.6, 19.9]]
@@ -174,33 +256,35 @@ def test_stresses_beside_the_contact_converge(comm):
     np.testing.assert_allclose(found[64], found[128], rtol=0.01)
 
 
-def test_the_largest_of_each_layer(tmp_path):
-    """That of the layer that has the largest is the body's; layers of both bodies are apart."""
-    layer = {"thickness": 0.05, "young": 2e5, "poisson": 0.3}
-    soft = {"thickness": 0.1, "young": 5e4, "poisson": 0.3}
-    result = rw.simulate(
-        case_of(stress__times="all", lower__layers=[layer, soft], upper__layers=[soft])
-    )
-    for state in result.stress.states:
-        for own, largest in zip(state.layers, state.largest, strict=True):
-            assert own.max() == own[largest.layer] == largest.mises
-    result.save(tmp_path / "run.h5")
-    same(rw.open_result(tmp_path / "run.h5"), result)
-    data, numbers = result.to_xarray(), result.to_dict()["numbers"]
-    assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
-    assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
-    for layer, value in enumerate(result.stress.states[-1].layers[0]):
-        assert numbers[f"lower_mises_{layer}"] == {"value": value, "unit": "MPa"}
+def test_exports(plain, layered, tmp_path):
+    state = plain.stress.states[-1]
+    known = np.isfinite(state.grid).all(axis=-1)
+    export(plain, tmp_path / "a.vtkhdf")
+    data = last_state(tmp_path / "a.vtkhdf")
+    assert len(data["points"]) == known.sum()
+    assert data["mises"] == pytest.approx(mises(state.grid[known]))
+    assert data["stress_tz"] == pytest.approx(state.grid[known][:, 5])
+    # quadrangles of the grid, none across edges, where nothing is known
+    corners = data["points"][data["cells"]]
+    assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
+    assert np.ptp(corners[..., 2], axis=1) == pytest.approx(1.0 / 3.0)
+    openpyxl = pytest.importorskip("openpyxl")
 
+    def sheet(result, name):
+        export(result, tmp_path / "a.xlsx")
+        page = openpyxl.load_workbook(tmp_path / "a.xlsx")[name]
+        header, *rows = page.iter_rows(values_only=True)
+        return rows, dict(zip(header, rows[-1], strict=True))
 
-@pytest.mark.parametrize("geometry", ["fixed", "updated"])
-def test_layers_that_are_gone_have_no_largest_stress(geometry):
-    film = {"thickness": 5e-4, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-6}}
-    changes = {"upper__layers": [film], "mesh__geometry": geometry, "stress__exclude": 0.05}
-    result = rw.simulate(case_of(**changes))
-    assert result.layers["share_through_upper"][-1] == 1.0
-    ((gone, left),) = (state.layers[1] for state in result.stress.states)
-    assert np.isnan(gone)
-    numbers = result.to_dict()["numbers"]
-    assert [numbers[f"upper_mises_{layer}"]["value"] for layer in (0, 1)] == [None, left]
-    assert "nan" not in result.summary()
+    rows, last = sheet(plain, "stress at points")
+    assert len(rows) == 7 * 3
+    assert [last[f"stress[{name}] (MPa)"] for name in COMPONENTS] == pytest.approx(state.points[-1])
+    for body, name in enumerate(("lower", "upper")):
+        rows, last = sheet(layered, f"interfaces of {name}")
+        line, stress = layered.stress.interfaces[body], layered.stress.states[-1].interfaces[body]
+        assert len(rows) == 3 * 2 * len(line.z) * len(line.r)
+        assert last["side"] == "below"
+        for column, value in (("stress_{}[zz]", stress[-1, 1, -1, 2]),
+                              ("mises_{}", mises(stress[-1, 1, -1]))):  # fmt: skip
+            found = last[f"interface_{column.format(name)} (MPa)"]
+            assert found == pytest.approx(value, rel=1e-14)

@@ -37,33 +37,29 @@ def test_a_law_that_only_a_result_file_names_is_not_run(run, tmp_path):
     assert not marker.exists()
 
 
-def numbers(path):
-    result = rw.open_result(path)
-    return {**result.histories, **result.profiles}
-
-
 def test_no_flipped_bit_gives_other_numbers(run):
-    contents, exact = run.read_bytes(), numbers(run)
-    refused = 0
+    def numbers():
+        result = rw.open_result(run)
+        return {**result.histories, **result.profiles}
+
+    contents, exact, refused = run.read_bytes(), numbers(), 0
     for place in range(0, len(contents), 397):
         changed = bytearray(contents)
         changed[place] ^= 1 << place % 8
         run.write_bytes(changed)
         try:
-            found = numbers(run)
+            found = numbers()
         except rw.InputError:
             refused += 1
             continue
-        for name, values in exact.items():
-            assert np.array_equal(found[name], values), name
+        assert all(np.array_equal(found[name], values) for name, values in exact.items())
     assert refused > 5
 
 
 @pytest.mark.parametrize("how", ["cut", "text", "attribute", "variable"])
 def test_what_is_no_result_file_is_refused(run, how):
     if how in ("cut", "text"):
-        contents = run.read_bytes()
-        run.write_bytes(contents[: len(contents) // 2] if how == "cut" else b"text")
+        run.write_bytes(run.read_bytes()[:20_000] if how == "cut" else b"text")
     else:
         with h5py.File(run, "r+") as file:
             place, name = (file.attrs, "status") if how == "attribute" else (file, "time")
