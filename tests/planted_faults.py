@@ -66,9 +66,9 @@ FAULTS = [
           "elasticity/test_fields.py::test_equilibrium_and_bodies_that_meet"),
     # contact
     Fault("residual is always 0", "contact/problem.py", "np.divide(miss, largest,",
-          "np.divide(0.0 * miss, largest,", "contact/test_contact.py"),
+          "np.divide(0.0 * miss, largest,", "studies/test_many.py -k single"),
     Fault("coarse contacts in blocks", "contact/block.py", "relative: float = 1e-4",
-          "relative: float = 1e-2", "contact/test_contact.py -k agree"),
+          "relative: float = 1e-2", "studies/test_many.py -k single"),
     Fault("gap forgets part of the wear", "history/block.py", "self.gap + total(wear)",
           "self.gap + 0.99 * total(wear)",
           "history/test_schemes.py::test_the_steady_pressure_and_its_torque"),
