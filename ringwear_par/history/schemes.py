@@ -142,7 +142,7 @@ def rates_at(
 
 
 def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
-    """Return the contacts before any wear, and which failed."""
+    """Return the contacts before any wear, and which failed, or have no rates."""
     count = len(block)
     zero, p, none = np.zeros(count), np.zeros_like(block.gap), np.zeros(count, np.int64)
     wear = np.zeros((len(block.wearing), *p.shape))
@@ -155,4 +155,4 @@ def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
         zero, zero, zero, wear, rates, layer, p, d, d, np.full((count, 2), np.inf),
         none, iterations, zero, zero, never,
     )  # fmt: skip
-    return state, failed
+    return state, failed | ~np.isfinite(rates).all(axis=(0, 2))
