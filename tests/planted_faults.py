@@ -201,7 +201,7 @@ FAULTS = [
           "sd=sd / np.sqrt(", "sd=2.0 * sd / np.sqrt(", "identification/design/test_design.py"),
     Fault("next specimens", "identification/design/information.py",
           "+ alone * scatter, alone)", "+ alone / scatter, alone)",
-          "identification/design/test_design.py::test_only_the_number_of_specimens_matters"),
+          "identification/design/test_design.py -k specimens_that_differ"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",
           "float(np.sqrt(3.0))", "measuring/test_steady_part.py"),

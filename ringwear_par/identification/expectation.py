@@ -11,7 +11,7 @@ from ringwear_par.errors import ComputationError, counted, warning_lines
 from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.design.information import information
-from ringwear_par.identification.doubts import assumptions
+from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
 from ringwear_par.identification.likelihood import Setting
@@ -48,9 +48,8 @@ def _covariance(readings: Readings) -> FloatArray:
                 f"{problem.name}: test {test.name}: no history at the start: {readings.reason}"
             )
         shares = np.where(np.isnan(setting.shares), expected, setting.shares)
-        every = range(len(test.series))
         # tests of one specimen too are taken as if of several
-        known += information(test, every, setting, shares, slope, loss, variances)[0]
+        known += information(test, setting, shares, slope, loss, variances)[0]
     return np.linalg.inv(known)
 
 
@@ -62,7 +61,7 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
         f"{problem.name}: {counted(n, 'reading')} in "
         f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
         "their start values (nothing written):",
-        *warning_lines(doubt.text for doubt in assumptions(problem.experiments)),
+        *warning_lines(doubt.text for doubt in of_units(problem.experiments)),
     ]
     width, bounds = max(map(len, problem.keys)), np.array(problem.unknown_bounds)
     for j, parameter in enumerate(problem.parameters):

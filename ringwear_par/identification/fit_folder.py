@@ -1,6 +1,7 @@
-"""The folder of a fit: its outcome, its draws and readings, its figures, each there once whole."""
+"""Files of the folder of a fit that have arrays: its readings, and its draws as ArviZ has them."""
 
 import re
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,124 +10,88 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.files.folders import (
-    CURVES,
-    ESTIMATES,
-    FIT,
-    POSTERIOR,
-    READINGS,
-    SPECIMENS,
-    json_bytes,
-    new_files,
-    write_contents,
-)
-from ringwear_par.identification.definition.problem import BASE, body_of_wear
-from ringwear_par.identification.draws import write_draws
-from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
-from ringwear_par.pictures.style import picture
+from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, POSTERIOR, READINGS, SPECIMENS
+from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
+from ringwear_par.identification.draws import Draws, write_draws
+from ringwear_par.identification.fitted_tests import FittedTest, readings_of_draws
+from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
 FILES = (FIT, READINGS, POSTERIOR, CURVES, ESTIMATES, SPECIMENS)
 
-
-def save(fit: FitResult, folder: Path) -> None:
-    """Write all files; fit.json, which says that it is whole, the last. On one rank.
-
-    A picture that cannot be drawn is left out, with a warning.
-    """
-    with new_files(folder, FILES, "fit"):
-        with atomic_hdf5(folder / READINGS) as file:
-            _write(file, fit)
-        readings, places = drawn_readings(fit)
-        write_draws(folder / POSTERIOR, fit.draws, fit.versions, places, readings)
-        figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
-        if not fit.problem.scatters:
-            del figures[SPECIMENS]
-            (folder / SPECIMENS).unlink(missing_ok=True)
-        pictures = {
-            name: partial(picture, draw, str(folder / name)) for name, draw in figures.items()
-        }
-        write_contents(folder, {**pictures, FIT: lambda: json_bytes(fit.to_dict())})
+#: test, key and unit of an input, times (s) and readings, and the curve there
+InputReadings = tuple[str, str, str, FloatArray, FloatArray, FloatArray]
 
 
-def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, list[Any]]]:
-    """Return what draws.nc holds of readings, and the test, series and place of each.
-
-    Where keys scatter, "log_likelihood_test" (s, tests) is of all readings of a test, its values
-    integrated out.
-    """
-    random, x = np.random.default_rng(0), fit.draws.tests
-    posterior = fit.solution.posterior
+def save_draws(
+    path: Path,
+    draws: Draws,
+    tests: Sequence[FittedTest],
+    likelihoods: Sequence[EmulatedLikelihood],
+    versions: Mapping[str, str],
+) -> None:
+    """Write draws.nc, with the readings of each draw and their log likelihoods."""
+    random = np.random.default_rng(0)
     parts = [
-        readings_of_draws(likelihood, x[:, i], random)
-        for i, likelihood in enumerate(posterior.likelihoods)
+        readings_of_draws(likelihood, draws.tests[:, i], random)
+        for i, likelihood in enumerate(likelihoods)
     ]
     logs, replicas = (np.hstack(columns) for columns in zip(*parts, strict=True))
     readings = {
-        "observed_data": np.concatenate([test.data for test in fit.tests]),
+        "observed_data": np.concatenate([test.data for test in tests]),
         "posterior_predictive": replicas, "log_likelihood": logs,
     }  # fmt: skip
     places: dict[str, list[Any]] = {"test": [], "series": [], "at": []}
-    for test in fit.tests:
+    for test in tests:
         for series, _ in test.records:
             places["test"] += [test.experiment.name] * series.n
             places["series"] += [series.name] * series.n
             places["at"] += series.x.tolist()
-    if posterior.scatterings:
-        readings["log_likelihood_test"] = _log_p_of_tests(fit)
-    return readings, places
+    write_draws(path, draws, versions, places, readings)
 
 
-def _log_p_of_tests(fit: FitResult) -> FloatArray:
-    """Return log p (s, tests) of the readings of each test, given the material and its scatter."""
-    draws, problem, depths = fit.draws, fit.problem, fit.solution.depths
-    variances = np.zeros_like(draws.material)
-    for (key, _), sd in draws.scatter.items():
-        variances[:, draws.keys.index(key)] += sd**2
-    bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
-    shares = np.sqrt(draws.process[:, bodies] / depths)
-    return log_p_of_tests(
-        fit.solution.posterior, draws.tests, draws.material, np.sqrt(variances), shares
-    )
-
-
-def _write(file: h5py.File, fit: FitResult) -> None:
-    problem = fit.problem
-    file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
-                       **fit.versions})  # fmt: skip
-    records = [(test, *record) for test in fit.tests for record in test.records]
-    for number, (test, series, part) in enumerate(records, start=1):
-        group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
-        group.attrs.update(
-            experiment=test.experiment.name, series=series.name, quantity=series.quantity,
-            file=series.file, data_unit=series.unit, contact=test.experiment.case.contact,
-        )  # fmt: skip
-        base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
-        put = partial(_put, group)
-        put(at[0], series.x, at[1], "where or when it was read")
-        put("data", series.value, base, "what was read")
-        put("sd", test.sd[part], base, "noise of the data")
-        meaning = "the model's reading, with nuisances and random wear"
-        put("model", test.model[part], base, meaning)
-        put("band", test.band[part], base, "sd of the model's reading")
-        put("residual", test.residuals[part], "1", "data less model over its noise, white")
-        for body, key in enumerate(problem.settings.process):
-            name = f"excess_{body_of_wear(key)}"
-            meaning = "mean depth worn beyond that of the law, by the readings"
-            put(name, test.excess[part, body], "mm", meaning)
-            put(f"{name}_sd", test.excess_sd[part, body], "mm", f"sd of {name}")
-        if test.censored[part].any():
-            meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-            put("censored", test.censored[part], "1", meaning)
-    for number, (name, key, unit, time, value, curve) in enumerate(fit.input_readings, start=1):
-        group = file.create_group(f"inputs/{number}")
-        group.attrs.update(experiment=name, key=key, unit=unit)
-        _put(group, "time", time, "s", "time")
-        _put(group, "data", value, unit, "reading, in the unit of the key")
-        _put(group, "curve", curve, unit, "the case's value")
+def save_readings(
+    path: Path,
+    problem: Problem,
+    tests: Sequence[FittedTest],
+    inputs: Sequence[InputReadings],
+    versions: Mapping[str, str],
+) -> None:
+    """Write results.h5: data, model, bands and residuals of each series, and measured inputs."""
+    with atomic_hdf5(path) as file:
+        file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
+                           **versions})  # fmt: skip
+        records = [(test, *record) for test in tests for record in test.records]
+        for number, (test, series, part) in enumerate(records, start=1):
+            group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
+            group.attrs.update(
+                experiment=test.experiment.name, series=series.name, quantity=series.quantity,
+                file=series.file, data_unit=series.unit, contact=test.experiment.case.contact,
+            )  # fmt: skip
+            base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
+            put = partial(_put, group)
+            put(at[0], series.x, at[1], "where or when it was read")
+            put("data", series.value, base, "what was read")
+            put("sd", test.sd[part], base, "noise of the data")
+            meaning = "the model's reading, with nuisances and random wear"
+            put("model", test.model[part], base, meaning)
+            put("band", test.band[part], base, "sd of the model's reading")
+            put("residual", test.residuals[part], "1", "data less model over its noise, white")
+            for body, key in enumerate(problem.settings.process):
+                name = f"excess_{body_of_wear(key)}"
+                meaning = "mean depth worn beyond that of the law, by the readings"
+                put(name, test.excess[part, body], "mm", meaning)
+                put(f"{name}_sd", test.excess_sd[part, body], "mm", f"sd of {name}")
+            if test.censored[part].any():
+                meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+                put("censored", test.censored[part], "1", meaning)
+        for number, (name, key, unit, time, value, curve) in enumerate(inputs, start=1):
+            group = file.create_group(f"inputs/{number}")
+            group.attrs.update(experiment=name, key=key, unit=unit)
+            _put(group, "time", time, "s", "time")
+            _put(group, "data", value, unit, "reading, in the unit of the key")
+            _put(group, "curve", curve, unit, "the case's value")
 
 
 def _put(group: h5py.Group, name: str, values: FloatArray, unit: str, meaning: str) -> None:

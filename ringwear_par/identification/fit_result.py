@@ -1,28 +1,55 @@
 """The result of a fit: estimates with intervals, goodness of fit, what remains open."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
+from ringwear_par.files.folders import (
+    CURVES,
+    ESTIMATES,
+    FIT,
+    POSTERIOR,
+    READINGS,
+    SPECIMENS,
+    json_bytes,
+    new_files,
+    write_contents,
+)
+from ringwear_par.identification import doubts, figures, fit_folder
 from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.doubts import IMPROBABLE, Check
 from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.fitted_tests import FittedTest
-from ringwear_par.identification.key_estimates import ParameterEstimate
+from ringwear_par.identification.key_estimates import Verdict
 from ringwear_par.identification.solution import Solution
+from ringwear_par.identification.summary import summary
+from ringwear_par.pictures.fit_panels import measured_input
+from ringwear_par.pictures.style import picture
 from ringwear_par.results.result import Outcome
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-#: p-value below which a model does not fit
-IMPROBABLE = 1e-3
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A fitted key."""
+
+    key: str
+    #: in the case's unit: median and standard deviation of the draws
+    estimate: float
+    sd: float
+    #: None on a side that is not limited
+    interval: tuple[float | None, float | None]
+    #: whether the readings determine it
+    verdict: Verdict
+    #: what they determine instead, "" where they determine the key
+    direction: str
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,11 +94,6 @@ class FitResult(Outcome):
             )
             for key, entry in self.entries.items()
         )  # fmt: skip
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(m, m) of the fitted keys' values."""
-        return np.atleast_2d(np.cov(self.draws.values(self.draws.material).T))
 
     @property
     def n(self) -> int:
@@ -128,11 +150,27 @@ class FitResult(Outcome):
         return 2.0 * posterior.dimension - 2.0 * log_p
 
     @cached_property
+    def checks(self) -> tuple[Check, ...]:
+        """What was checked, the computation first."""
+        return (
+            *doubts.of_computation(self.solution),
+            *doubts.of_squares(self.chi2, self.freedom, self.p_value),
+            *doubts.of_trends(self.tests),
+            *doubts.of_tests(self.problem, self.entries, self.information),
+        )
+
+    @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
         """What speaks against taking the numbers as they are."""
-        from ringwear_par.identification.doubts import doubts
-
-        return tuple(doubts(self))
+        experiments = self.problem.experiments
+        return (
+            *doubts.of_keys(self.entries),
+            *(check.doubt for check in self.checks if check.doubt is not None),
+            *doubts.of_readings(self.tests),
+            *doubts.of_inputs(experiments),
+            *doubts.of_sizes(self.entries, self.process),
+            *doubts.of_units(experiments),
+        )
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
@@ -162,70 +200,128 @@ class FitResult(Outcome):
                 for nuisance in series.nuisances:
                     if (number, nuisance.kind) not in test.nuisances:
                         continue
-                    entry = mean_and_sd(test.nuisances[number, nuisance.kind])
+                    entry = _mean_and_sd(test.nuisances[number, nuisance.kind])
                     if nuisance.kind == "thermal":
-                        entry["time"] = mean_and_sd(test.growth_times[number])
+                        entry["time"] = _mean_and_sd(test.growth_times[number])
                     entry |= {"power": True} if nuisance.power else {}
                     of_test = nuisances.setdefault(test.experiment.name, {})
                     of_test.setdefault(series.name, {})[nuisance.kind] = entry
         return nuisances
 
     @property
-    def input_readings(self) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
+    def input_readings(self) -> list[fit_folder.InputReadings]:
         """Test, key, unit, times (s) and readings of each input, and the curve there."""
         return [
-            (experiment.name, measured.key, measured.unit, measured.series.x,
-             measured.readings(experiment.case), measured.curve(experiment.case)(measured.series.x))
-            for experiment in self.problem.experiments
-            for measured in experiment.inputs
+            (test.name, measured.key, measured.unit, measured.series.x,
+             measured.readings(test.case), measured.curve(test.case)(measured.series.x))
+            for test in self.problem.experiments
+            for measured in test.inputs
         ]  # fmt: skip
+
+    @property
+    def _inputs(self) -> dict[str, dict[str, Any]]:
+        """Curve, scatter of the readings about it, and scale of each input, by test and key.
+
+        The curve is at ``time``, s; the scatter is a relative standard deviation.
+        """
+        inputs: dict[str, Any] = {}
+        for test in self.tests:
+            case, scaled = test.experiment.case, 0
+            for measured in test.experiment.inputs:
+                curve, readings = measured.curve(case), measured.readings(case)
+                off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+                entry: dict[str, Any] = {
+                    "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+                    "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+                }  # fmt: skip
+                if measured.scale is not None:
+                    (mean, sd), drawn = measured.scale, test.nuisances[-1, str(scaled)]
+                    scaled += 1
+                    entry["scale"] = _mean_and_sd(mean + sd * drawn)
+                inputs.setdefault(test.experiment.name, {})[measured.key] = entry
+        return inputs
 
     def summary(self) -> str:
         """Return it in a few lines, as the command prints it."""
-        from ringwear_par.identification.summary import summary
-
-        return summary(self)
+        return summary(self.problem.name, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of fit.json."""
-        from ringwear_par.identification.fit_numbers import to_dict
-
-        return to_dict(self)
+        problem, solution = self.problem, self.solution
+        alternatives: dict[str, Any] = {n: law.to_dict() for n, law in self.alternatives.items()}
+        for law in alternatives.values():
+            del law["alternatives"], law["data"]
+        return {
+            "parameters": {key: dict(entry) for key, entry in self.entries.items()},
+            "keys": [*problem.keys],
+            "covariance": np.atleast_2d(np.cov(self.draws.values(self.draws.material).T)).tolist(),
+            "level": problem.settings.level,
+            "chi2": self.chi2,
+            "n_data": self.n,
+            "degrees_of_freedom": self.freedom,
+            "p_value": self.p_value,
+            "flagged": self.flagged,
+            "aic": self.aic,
+            "evidence": solution.log_evidence,
+            "evidence_error": solution.evidence_error,
+            "specimens": len({test.groups[0] for test in problem.experiments}),
+            "process": {key: dict(entry) for key, entry in self.process.items()},
+            "experiments": self.experiments,
+            "nuisance": self.nuisances,
+            "inputs": self._inputs,
+            "histories": solution.histories,
+            "failed_histories": solution.failed,
+            "steps": solution.steps,
+            "draws": {"effective": solution.effective, "stored": len(self.draws)},
+            "checks": [
+                {"name": name, "value": value if np.isfinite(value) else None, "limit": limit,
+                 "pass": passed}
+                for name, value, limit, passed, _ in self.checks
+            ],
+            "doubts": [doubt.to_dict() for doubt in self.doubts],
+            "warnings": [doubt.text for doubt in self.doubts],
+            "alternatives": alternatives | {n: {"error": why} for n, why in self.failed.items()},
+            "loss": problem.settings.loss,
+            "versions": dict(self.versions),
+            "data": dict(problem.hashes),
+        }  # fmt: skip
 
     def save(self, path: str | Path) -> None:
-        """Write the files of its folder, see ``Outcome.save``."""
-        from ringwear_par.identification.fit_folder import save
+        """Write the files of its folder, see ``Outcome.save``.
 
-        save(self, Path(path))
-
-    def plot(self) -> "Figure":
-        """Return the figure of data, model, its band and residuals."""
-        from ringwear_par.identification.figures import plot
-
-        return plot(self)
-
-    def plot_parameters(self) -> "Figure":
-        """Return the figure of the fitted keys: draws of each, and of pairs."""
-        from ringwear_par.pictures import key_panels
-        from ringwear_par.pictures.matplotlib import panel_figure
-
-        by_key = dict(zip(self.draws.keys, self.draws.values(self.draws.material).T, strict=True))
-        rows = key_panels.fitted_keys(self.to_dict(), by_key)
-        return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
-
-    def plot_specimens(self) -> "Figure":
-        """Return the figure of the specimens: each one's value, the material's, the next one's.
-
-        Raises
-        ------
-        InputError : a fit without scatter.
+        The last one, fit.json, says that it is whole. A picture that cannot be drawn is left out,
+        with a warning.
         """
-        from ringwear_par.identification.figures import plot_specimens
+        folder, outcome, likelihoods = (
+            Path(path),
+            self.to_dict(),
+            self.solution.posterior.likelihoods,
+        )
+        drawn: dict[str, Callable[[], Figure]] = {
+            CURVES: self.plot,
+            ESTIMATES: partial(figures.of_keys, outcome, self.draws),
+            SPECIMENS: partial(figures.of_specimens, outcome),
+        }
+        with new_files(folder, fit_folder.FILES, "fit"):
+            fit_folder.save_readings(
+                folder / READINGS, self.problem, self.tests, self.input_readings, self.versions
+            )
+            fit_folder.save_draws(
+                folder / POSTERIOR, self.draws, self.tests, likelihoods, self.versions
+            )
+            if not self.problem.scatters:
+                del drawn[SPECIMENS]
+                (folder / SPECIMENS).unlink(missing_ok=True)
+            contents = {n: partial(picture, draw, str(folder / n)) for n, draw in drawn.items()}
+            write_contents(folder, {**contents, FIT: lambda: json_bytes(outcome)})
 
-        return plot_specimens(self)
+    def plot(self) -> Figure:
+        """Return the figure of data, model, its band and residuals."""
+        inputs = [measured_input(*entry) for entry in self.input_readings]
+        return figures.of_readings(self.tests, inputs, self.problem.settings.level)
 
 
-def mean_and_sd(draws: FloatArray) -> dict[str, Any]:
+def _mean_and_sd(draws: FloatArray) -> dict[str, Any]:
     """Return the mean of draws (s,) and their sd; None where readings do not change them."""
     sd = float(draws.std())
     return {"estimate": float(draws.mean()), "sd": sd if sd > 0.0 else None}

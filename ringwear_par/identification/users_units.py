@@ -20,28 +20,34 @@ _FRICTION = "contact.friction"
 Entry = Mapping[str, Any]
 
 
-def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
-    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
+def _scaled(entry: Entry, scale: float) -> dict[str, Any]:
+    """Return the numbers of a key's entry in fit.json in another unit, which is ``scale``.
 
-    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
-    coefficients k of laws whose specific wear rate is k mu. Of a running test the interval before
-    too.
+    Of a running test the interval before too.
     """
-    if not parameter.unit:
-        return None
-    scale = unit_scale(parameter)
 
     def converted(number: Any) -> Any:
         if isinstance(number, list | tuple):
             return [converted(entry) for entry in number]
         return None if number is None else number / scale
 
-    names = ["estimate", "sd", "interval", "next", *(["before"] if "before" in entry else [])]
-    unit = {"unit": parameter.unit, "scale": scale}
+    names = ("estimate", "sd", "interval", "next", "before")
+    return {name: converted(entry[name]) for name in names if name in entry}
+
+
+def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
+    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
+
+    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
+    coefficients k of laws whose specific wear rate is k mu.
+    """
+    if not parameter.unit:
+        return None
+    scale = unit_scale(parameter)
     law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
-    if isinstance(law, AboveThreshold) and base_unit(parameter.key) == "1/MPa":
-        unit["per"] = "friction energy"
-    return {**unit, **{name: converted(entry.get(name)) for name in names}}
+    of_energy = isinstance(law, AboveThreshold) and base_unit(parameter.key) == "1/MPa"
+    per = {"per": "friction energy"} if of_energy else {}
+    return {"unit": parameter.unit, "scale": scale, **per, **_scaled(entry, scale)}
 
 
 def specific_wear_rate(
@@ -52,28 +58,36 @@ def specific_wear_rate(
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
     The values (s, m) are draws of the keys.
     """
-    body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
+    body, entry, unit = (
+        key.removeprefix("wear.").removesuffix(".k"),
+        entries[key],
+        factor(SPECIFIC, None),
+    )
     threshold = entries.get(f"wear.{body}.p0", {}).get("estimate")
     cases = [experiment.case for experiment in problem.experiments]
     shares = {_share(case, body, threshold) for case in cases} if body in BODIES else {None}
     (share, *others) = shares
     if share is None or others:
         return None
-    unit = factor(SPECIFIC, None)
-    if share == 1.0 or _FRICTION not in problem.keys:
-        ends = [None if end is None else share * end / unit for end in entry["interval"]]
-        estimate, sd = (share * entry[name] / unit for name in ("estimate", "sd"))
-    else:
+    rate = _scaled(entry, unit / share)
+    if share != 1.0 and _FRICTION in problem.keys:
         share = float(entries[_FRICTION]["estimate"])
-        products = values[:, problem.keys.index(key)] * values[:, problem.keys.index(_FRICTION)]
-        level, (estimate, sd) = problem.settings.level, (np.median(products), products.std())
-        tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
-        ends = (np.quantile(products, tails) / unit).tolist()
-        estimate, sd = float(estimate) / unit, float(sd) / unit
-    rate = {"unit": SPECIFIC, "estimate": estimate, "sd": sd, "interval": ends}
-    if share != 1.0:
-        rate["mu"] = share
-    return {**rate, CUSTOMARY: estimate * unit / factor(CUSTOMARY, None)}
+        k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
+        level, products = problem.settings.level, k * mu / unit
+        ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)]).tolist()
+        rate = {
+            "estimate": float(np.median(products)),
+            "sd": float(products.std()),
+            "interval": ends,
+        }
+    rate = {name: rate[name] for name in ("estimate", "sd", "interval")}
+    told = {} if share == 1.0 else {"mu": share}
+    return {
+        "unit": SPECIFIC,
+        **rate,
+        **told,
+        CUSTOMARY: rate["estimate"] * unit / factor(CUSTOMARY, None),
+    }
 
 
 def _share(case: Case, body: str, threshold: float | None) -> float | None:

@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.doubts import input_trends
+from ringwear_par.identification.doubts import of_inputs
 
 K, MU = "wear.lower.k", "contact.friction"
 FRICTION = [[0.0, 0.06], [20.0, 0.1], [50.0, 0.12], [END, 0.12]]
@@ -72,7 +72,7 @@ def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubt
         write_table(written[0] / "noisy.csv", ("t_s", "m_Nm"), t, value * noise)
         torque["smooth"] = smoothing
         experiments = read_fit(tables).experiments
-        doubts = input_trends(experiments)
+        doubts = of_inputs(experiments)
         assert [doubt.code for doubt in doubts] == ["input-trend"] * trends
         suspicions += experiments[0].inputs[0].series.suspicions
     (sentence,) = suspicions

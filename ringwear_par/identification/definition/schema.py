@@ -37,8 +37,8 @@ INPUT_KEYS, FEWEST_READINGS = (
 )  # fmt: skip
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
-#: most loads, and most profiles, of a next test
-COUNTS = {"load.steps": 4, "profiles": 4}
+#: most loads of a next test
+_MOST_STEPS = 4
 _MOST_EXPERIMENTS, _MOST_READINGS = 6, 100_000
 
 
@@ -134,11 +134,6 @@ _VARIED = {
     "load.omega": ("rad/s", "angular speed"),
     "time.end": ("s", "duration"),
     "load.steps": ("-", "number of increasing load steps of equal duration in one test"),
-    "profiles": (
-        "-",
-        "number of profiles measured in one test; at equal intervals, or at profile.at",
-    ),
-    "profile.at": ("1", "instants of the profiles, as parts of the duration"),
 }
 
 
@@ -150,18 +145,16 @@ def _quantities_with(kind: str) -> str:
 
 def _range_of(name: str) -> Values:
     """Return the ranges of a key that varies between next tests."""
-    most = COUNTS.get(name)
-    rule = "above 0" if most is None else f"whole, from 1 to {most}"
-    if name == "profile.at":
-        rule = "above 0 and at most 1, parts of the test"
+    steps = name == "load.steps"
+    rule = f"whole, from 1 to {_MOST_STEPS}" if steps else "above 0"
 
     def read(value: Any) -> tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2 or not all(map(is_finite, value)):
             raise RejectedError
         low, high = map(float, value)
-        if not 0.0 < low <= high or (name == "profile.at" and high > 1.0):
+        if not 0.0 < low <= high:
             raise RejectedError
-        if most is not None and not (low.is_integer() and high.is_integer() and high <= most):
+        if steps and not (low.is_integer() and high.is_integer() and high <= _MOST_STEPS):
             raise RejectedError
         return low, high
 

@@ -4,8 +4,6 @@ The information of tests adds, nuisances of each being projected out, so that m 
 candidate, at a few draws of what is known, tell what every combination of them would.
 """
 
-import itertools
-import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,19 +16,13 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, InputError, counted
-from ringwear_par.files.folders import BARS, DESIGN, check_folder, json_bytes, write_outcome
-from ringwear_par.files.writing import announce_replacement, closing_line
+from ringwear_par.files.folders import BARS, DESIGN, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
-from ringwear_par.identification.definition.problem import Criterion, FittedParameter, Problem
-from ringwear_par.identification.design.candidates import (
-    INSTANTS,
-    LOADS,
-    Candidate,
-    axes,
-    candidates,
-)
+from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.design.candidates import LOADS, Candidate, candidates
 from ringwear_par.identification.design.information import Before, before_tests, informations
+from ringwear_par.identification.fit_command import into_folder
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.key_panels import design_panels
@@ -41,12 +33,8 @@ from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
-_MOST_CANDIDATES = 2000
 #: designs that are listed, and shown by a summary; combinations scored together
 _LISTED, _SHOWN, _AT_ONCE = 10, 5, 50_000
-#: share of the sd that bounds alone leave, below which a key of which nothing else was known is
-#: identified; factor on an sd that is nearly the same
-_IDENTIFIED, _NEARLY = 0.5, 1.1
 #: inches: width and height of a panel, height of a test of a design in bars
 _WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
 _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
@@ -97,9 +85,8 @@ class DesignResult(Outcome):
 
     def _sd_of_values(self, information: FloatArray) -> FloatArray:
         """Return standard deviations (..., m) of values by information (..., d, m, m)."""
-        sd, before = self._sd(information), self.before
-        most = _IDENTIFIED * np.sqrt(np.diag(before.covariance))
-        return np.where(before.unknown & (sd > most), np.inf, sd * before.slopes)
+        sd = self._sd(information)
+        return np.where(sd > self.before.vague, np.inf, sd * self.before.slopes)
 
     def _sd(self, information: FloatArray) -> FloatArray:
         """Return standard deviations (..., m) of unknowns, of their mean variance over draws."""
@@ -113,30 +100,31 @@ class DesignResult(Outcome):
         gain = np.linalg.slogdet(precision + information)[1] - np.linalg.slogdet(precision)[1]
         return 0.5 * gain.mean(axis=-1)
 
-    def _score(self, information: FloatArray) -> FloatArray:
-        """Return the gain by "D", minus the mean variance over the widths of bounds by "A"."""
-        if self.problem.design.criterion == "D":
-            return self._gain(information)
-        low, high = self.problem.unknown_bounds
-        return -np.square(self._sd(information) / (high - low)).mean(axis=-1)
-
     def _design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
         """Return the design of tests that have information (d, m, m) together."""
         gain = float(self._gain(information)) / np.log(2.0)
         return Design((*tests,), gain, self._sd_of_values(information))
 
     def _scores(self, tests: IntArray) -> FloatArray:
-        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time."""
+        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time.
+
+        By "D" the gain, by "A" minus the mean variance over the widths of bounds.
+        """
+        low, high = self.problem.unknown_bounds
         seconds = np.array([test.seconds for test in self.candidates])
         scores = np.full(len(tests), -np.inf)
         within = np.flatnonzero(seconds[tests].sum(axis=1) <= self.problem.design.time_limit)
         for rows in np.array_split(within, len(within) // _AT_ONCE + 1):
-            scores[rows] = self._score(sum(self.information[column] for column in tests[rows].T))
+            information = sum(self.information[column] for column in tests[rows].T)
+            if self.problem.design.criterion == "D":
+                scores[rows] = self._gain(information)
+            else:
+                scores[rows] = -np.square(self._sd(information) / (high - low)).mean(axis=-1)
         return scores
 
     @cached_property
     def designs(self) -> tuple[Design, ...]:
-        """The best designs that differ in more than durations and instants, the best first.
+        """The best designs that differ in more than durations, the best first.
 
         All of one or two tests are looked at. Of more, the best pair that leaves time for the
         shortest tests beside it; then each is exchanged for the best one, twice.
@@ -152,41 +140,24 @@ class DesignResult(Outcome):
                 looked[-1][:, place] = every
                 best = looked[-1][self._scores(looked[-1]).argmax()]
             tests = np.concatenate(looked)
-        scores, kinds = self._scores(tests), dict[Hashable, IntArray]()
+        scores, kinds = self._scores(tests), dict[Hashable, Design]()
         for row in np.argsort(-scores, kind="stable").tolist():
             if len(kinds) == _LISTED or scores[row] == -np.inf:
                 break
-            kind = tuple(sorted(self.candidates[i].kind for i in tests[row]))
-            kinds.setdefault(kind, tests[row])
-        return tuple(
-            self._design(self.information[some].sum(axis=0), some.tolist())
-            for some in kinds.values()
-        )
-
-    def _only_number(self) -> dict[str, list[float]]:
-        """Return keys whose scatter alone limits what tests tell, whichever they are.
-
-        Of each the sd of values between specimens, and the least that so many more can leave.
-        """
-        best, before, limited = self.designs[0], self.before, {}
-        count, precision = len(best.tests), np.diag(np.linalg.inv(before.covariance))
-        usual = np.median(self._sd_of_values(count * self.information), axis=0)
-        for j, key in enumerate(self.problem.keys):
-            if not (variance := before.scatter[j]):
-                continue
-            least = float(before.slopes[j] / np.sqrt(precision[j] + count / variance))
-            if best.sd[j] < _NEARLY * least and usual[j] < _NEARLY * best.sd[j]:
-                limited[key] = [float(before.slopes[j] * np.sqrt(variance)), least]
-        return limited
+            some = tests[row].tolist()
+            kind = tuple(sorted(self.candidates[i].kind for i in some))
+            if kind not in kinds:
+                kinds[kind] = self._design(self.information[some].sum(axis=0), some)
+        return tuple(kinds.values())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of design.json."""
         problem, space = self.problem, self.problem.design
-        scales = {
-            p.key: {"factor": 100.0 / value, "unit": "%"} if p.log
-            else {"factor": 1.0 / unit_scale(p), "unit": _unit(problem, p)}
-            for p, value in zip(problem.parameters, self.before.values.tolist(), strict=True)
-        }  # fmt: skip
+        scales = {}
+        for p, value in zip(problem.parameters, self.before.values.tolist(), strict=True):
+            unit = p.unit or unit_of_key(problem, p.key).strip()
+            scale = {"factor": 1.0 / unit_scale(p), "unit": unit}
+            scales[p.key] = {"factor": 100.0 / value, "unit": "%"} if p.log else scale
 
         def entry(design: Design) -> dict[str, Any]:
             sd = [value if np.isfinite(value) else None for value in design.sd.tolist()]
@@ -197,7 +168,7 @@ class DesignResult(Outcome):
             tests = [self.candidates[i] for i in design.tests]
             designs.append(
                 {"name": " + ".join(test.name(space) for test in tests),
-                 "experiments": [test.to_dict() for test in tests],
+                 "experiments": [dict(test.keys) for test in tests],
                  "seconds": sum(test.seconds for test in tests), **entry(design)}
             )  # fmt: skip
         return {
@@ -207,23 +178,24 @@ class DesignResult(Outcome):
             "failed": self.failed, "reason": self.reason or None,
             "histories": self.histories, "measured_as": problem.experiments[0].name,
             "sd_scales": scales, "designs": designs, "today": entry(self.today),
-            "only_number_matters": self._only_number(), "versions": versions(),
+            "versions": versions(),
         }  # fmt: skip
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
         problem, content = self.problem, self.to_dict()
         about = ", ".join(
-            f"{p.key} = {value / unit_scale(p):.4g} {_unit(problem, p)}".rstrip()
-            for p, value in zip(problem.parameters, content["parameters"].values(), strict=True)
+            f"{p.key} = {content['parameters'][p.key] / unit_scale(p):.4g} "
+            f"{p.unit or unit_of_key(problem, p.key).strip()}".rstrip()
+            for p in problem.parameters
         )
         around = (
             "without priors or an earlier fit (--after) it holds there only"
-            if self.before.unknown.all() else f"means over {len(self.before.draws)} draws"
-        )  # fmt: skip
-        count = len(self.designs[0].tests)
+            if np.isfinite(self.before.vague).all()
+            else f"means over {len(self.before.draws)} draws"
+        )
         lines = [
-            f"{problem.name}: {count} of {content['candidates']} tests, "
+            f"{problem.name}: {len(self.designs[0].tests)} of {content['candidates']} tests, "
             f"{_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
             f"{self.histories} histories",
             f"{f'after {self.after}' if self.after else 'at the start'}: {about}; {around}",
@@ -233,22 +205,16 @@ class DesignResult(Outcome):
                 f"each test is of a new specimen, and {', '.join(scattering)} differs between "
                 "specimens, by as much as is taken as known; numbers below are of the material"
             )
-        rows = [("today", content["today"])]
-        rows += [(design["name"], design) for design in content["designs"][:_SHOWN]]
-        width = max(len(name) for name, _ in rows)
-        for name, design in rows:
-            sds = "; ".join(
-                f"{key} not identified" if sd is None else f"{key} sd {_in_unit(content, key, sd)}"
-                for key, sd in design["sd"].items()
-            )
-            gain = f"; gain {design['gain']:.3g} bits" * (name != "today")
-            lines.append(f"  {name.ljust(width)}  {sds}{gain}")
-        for key, ends in content["only_number_matters"].items():
-            between, least = (_in_unit(content, key, sd) for sd in ends)
-            lines.append(
-                f"{key}: specimens differ by {between}, so that {count} more leave an sd of "
-                f"{least} at least, and most candidates come near it: only their number matters"
-            )
+        rows = [{"name": "today", **content["today"]}, *content["designs"][:_SHOWN]]
+        width = max(len(row["name"]) for row in rows)
+        for row in rows:
+            sds = []
+            for key, sd in row["sd"].items():
+                scale = content["sd_scales"][key]
+                number = "" if sd is None else f"{scale['factor'] * sd:.2g} {scale['unit']}"
+                sds.append(f"{key} sd {number}".rstrip() if number else f"{key} not identified")
+            gain = f"; gain {row['gain']:.3g} bits" * (row["name"] != "today")
+            lines.append(f"  {row['name'].ljust(width)}  {'; '.join(sds)}{gain}")
         if self.failed:
             tests = counted(self.failed, "test")
             lines.append(f"{tests} without a history are left out: {self.reason}")
@@ -268,16 +234,6 @@ class DesignResult(Outcome):
             DESIGN: lambda: json_bytes(self.to_dict()),
         }
         write_outcome(Path(path), "fit", contents)
-
-
-def _unit(problem: Problem, parameter: FittedParameter) -> str:
-    return parameter.unit or unit_of_key(problem, parameter.key).strip()
-
-
-def _in_unit(content: Mapping[str, Any], key: str, sd: float) -> str:
-    """Return a standard deviation of a key as people read it."""
-    scale = content["sd_scales"][key]
-    return f"{scale['factor'] * sd:.2g} {scale['unit']}".rstrip()
 
 
 def design(
@@ -324,27 +280,23 @@ def design(
         return problem, before, candidates(problem.design, problem.experiments[0])
 
     problem, before, tests = on_first_rank(comm, read)
-    # whose depths shares of random wear are of
-    existing = problem.experiments if problem.settings.process else ()
-    whole = (*existing, *dict.fromkeys(test.experiment for test in tests))
-    parts = [(whole.index(test.experiment), test.series) for test in tests]
+    tried = tuple(test.experiment for test in tests)
     # signals are not waited for: there is nothing to keep
-    readings = Readings(replace(problem, experiments=whole, alternatives={}), comm, StopSignals())
+    readings = Readings(replace(problem, experiments=tried, alternatives={}), comm, StopSignals())
 
     def lead() -> DesignResult:
-        information = informations(readings, before, len(existing), parts)
-        good, space = np.isfinite(information).all(axis=(1, 2, 3)), problem.design
-        left = tuple(itertools.compress(tests, good))
+        information, space = informations(readings, before), problem.design
+        good = np.isfinite(information).all(axis=(1, 2, 3))
+        left = tuple(test for test, has in zip(tests, good, strict=True) if has)
         shortest = min((test.seconds for test in left), default=np.inf)
-        failed = len(tests) - len(left)
         if shortest * space.experiments > space.time_limit or not left:
             raise ComputationError(
-                f"{problem.name}: design: {failed} of {len(tests)} tests cannot be computed, which "
-                f"leaves too few: {readings.reason}"
+                f"{problem.name}: design: {(~good).sum()} of {len(tests)} tests cannot be "
+                f"computed, which leaves too few: {readings.reason}"
             )
         result = DesignResult(
-            problem, before, left, information[good], str(after or ""), failed, readings.reason,
-            readings.count,
+            problem, before, left, information[good], str(after or ""), len(tests) - len(left),
+            readings.reason, readings.count,
         )  # fmt: skip
         assert result.designs  # once, on this rank
         return result
@@ -360,26 +312,15 @@ def _check(problem: Problem) -> None:
             f"{name}.vary: is missing or empty; must name what may differ between tests, as the "
             "range of load.pressure"
         )
-    first = problem.experiments[0]
     for key in space.ranges:
         if key in problem.keys or (key in LOADS and {*LOADS} & {*problem.keys}):
             raise InputError(f"{name}.vary: {key}: is fitted as well; must be one or the other")
-        if key in INSTANTS and not any(series.profile for series in first.series):
-            raise InputError(
-                f'{name}.vary: {key}: needs a profile in experiment "{first.name}", as which tests '
-                "are measured"
-            )
-    end = first.case.time.end
+    end = problem.experiments[0].case.time.end
     shortest = space.experiments * space.ranges.get("time.end", (end, end))[0]
     if shortest > space.time_limit:
         raise InputError(
             f"{name}.budget: time.end = {space.seconds:g}: must be at least {shortest:g}, "
             f"{space.experiments} of the shortest tests"
-        )
-    if (count := math.prod(map(len, axes(space)))) > _MOST_CANDIDATES:
-        raise InputError(
-            f"{name}.vary: makes {count} tests; must be at most {_MOST_CANDIDATES}: fewer keys, or "
-            "narrower load.steps or profiles"
         )
 
 
@@ -392,15 +333,6 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    files = (DESIGN, BARS)
-    on_first_rank(comm, lambda: check_folder(folder, files, "fit"))
-    result = design(source, comm, after=after, criterion=criterion)
-
-    def save() -> None:
-        announce_replacement(folder / DESIGN)
-        result.save(folder)
-
-    on_first_rank(comm, save)
-    if comm.rank == 0:
-        print(result.summary())
-        print(closing_line(folder, files))
+    into_folder(
+        folder, (DESIGN, BARS), comm, lambda: design(source, comm, after=after, criterion=criterion)
+    )

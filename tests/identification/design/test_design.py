@@ -86,15 +86,11 @@ def test_one_weighing_in_closed_form(weighings, comm):
     assert found.today.gain == 0.0
 
 
-def test_only_the_number_of_specimens_matters(weighings, comm):
+@pytest.mark.parametrize("count", [2, 5])
+def test_specimens_that_differ_leave_what_their_number_leaves(weighings, comm, count):
     """Of specimens that differ by 20 % two leave 14 %, whatever their tests are."""
-    two, five = (rw.design(weighings(count, key={"scatter": 0.2}), comm) for count in (2, 5))
-    for count, found in ((2, two), (5, five)):
-        assert found.designs[0].sd[0] == pytest.approx(1e-7 * 0.2 / np.sqrt(count), rel=0.01)
-        assert "only their number matters" in found.summary()
-    assert "differ by 20 %, so that 2 more leave an sd of 14 %" in two.summary()
-    precise = rw.design(weighings(2, key={"scatter": 1e-4}), comm)
-    assert "only their number" not in precise.summary()
+    found = rw.design(weighings(count, key={"scatter": 0.2}), comm)
+    assert found.designs[0].sd[0] == pytest.approx(1e-7 * 0.2 / np.sqrt(count), rel=0.01)
 
 
 def test_random_wear_counts(weighings, comm):
@@ -170,22 +166,18 @@ def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
 
 
 def test_candidates_keep_to_their_ranges(tables):
-    vary = {
-        "load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
-        "profiles": [1, 2], "profile.at": [0.2, 1.0], "load.omega": [1.0, 3.0],
-    }  # fmt: skip
+    vary = {"load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.steps": [1, 2],
+            "load.omega": [1.0, 3.0]}  # fmt: skip
     problem = read_fit(tables(vary, **{"time.end": 90.0}))
     every = candidates(problem.design, problem.experiments[0])
-    assert len({json.dumps([test.to_dict(), test.seconds]) for test in every}) == len(every)
+    assert len({(*test.keys.items(),) for test in every}) == len(every) == 3 * 8 * (15 + 15)
     for test in every:
         assert all(40.0 <= load <= 80.0 for load in test.loads)
         assert list(test.loads) == sorted(test.loads)
         assert 20.0 <= test.seconds <= 90.0
-        series = [test.experiment.series[i] for i in test.series]
-        assert tuple(one.at for one in series if one.profile) == test.profiles
-        assert series[0].n == pytest.approx(50 * test.seconds / END, abs=1)
-    # instants of profiles share their histories
-    assert len({test.experiment for test in every}) == len(every) / (10 + 10)
+        record, profile = test.experiment.series[:2]
+        assert profile.at == test.seconds
+        assert record.n == pytest.approx(50 * test.seconds / END, abs=1)
 
 
 def test_the_folder(tables, laboratory, tmp_path, comm, capsys):
