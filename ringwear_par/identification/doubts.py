@@ -12,7 +12,6 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning, counted
-from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
@@ -28,8 +27,6 @@ IMPROBABLE, _NO_CHANCE, _NO_NOISE = 1e-3, 0.01, 1e-4
 _INFORMED = 1e-6
 #: beginnings of keys of rates: other keys are settings of the machine
 _RATES = ("wear.", "contact.friction")
-#: share of an input: smaller noise is not searched for trends
-_EXACT = 1e-3
 #: time constants of growth below which a record cannot distinguish growth from drift
 _ALIKE = 3.0
 #: groups up to which a scatter depends mostly on its prior
@@ -237,8 +234,9 @@ def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
         for number, (series, part) in enumerate(test.records):
             residuals, name = test.residuals[part], f"{series.name} ({test.experiment.name})"
             far = np.where(test.censored[part] * residuals < 0.0, 0.0, np.abs(residuals))
-            outside = int((far > _FAR).sum())  # but for limits that hold
-            if 0 < outside <= max(1, _SHARE * series.n) and not series.sd_fitted:
+            out = far[far > _FAR]  # but for limits that hold
+            few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
+            if len(out) and few and not series.sd_fitted:
                 axis, unit = ("r", "mm") if series.profile else ("time", "s")
                 at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
                 outliers.append((float(far.max()), name + at, test.experiment.name))
@@ -253,23 +251,6 @@ def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
     )
     drift = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
     return _together("outliers", outliers, far_off) + _together("drift-or-growth", alike, drift)
-
-
-def of_inputs(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
-    """Return a doubt about measured inputs whose curves do not follow their readings, or none."""
-    found = []
-    for experiment in experiments:
-        for measured in experiment.inputs:
-            time, value = measured.series.x, measured.readings(experiment.case)
-            least = (_EXACT * float(value.mean())) ** 2
-            p = trend(value - measured.curve(experiment.case)(time), least=least)
-            if measured.smooth != "none" and p < _NO_NOISE:
-                found.append((-p, f"{measured.key} ({experiment.name})", experiment.name))
-    text = (
-        "readings trend away from their curve (p = {:.1g}), which is too smooth for a jump or a "
-        f'fast change; smooth must be a shorter time, or "none" (at most {MOST_POINTS} readings)'
-    )
-    return _together("input-trend", found, text)
 
 
 def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:

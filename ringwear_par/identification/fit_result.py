@@ -1,10 +1,10 @@
 """The result of a fit: estimates with intervals, goodness of fit, what remains open."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,18 +12,7 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.files.folders import (
-    CURVES,
-    ESTIMATES,
-    FIT,
-    POSTERIOR,
-    READINGS,
-    SPECIMENS,
-    json_bytes,
-    new_files,
-    write_contents,
-)
-from ringwear_par.identification import doubts, figures, fit_folder
+from ringwear_par.identification import doubts, fit_folder
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.doubts import IMPROBABLE, Check
 from ringwear_par.identification.draws import Draws
@@ -31,17 +20,13 @@ from ringwear_par.identification.fitted_tests import FittedTest
 from ringwear_par.identification.key_estimates import Verdict
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.summary import summary
-from ringwear_par.pictures.fit_panels import measured_input
-from ringwear_par.pictures.style import picture
 from ringwear_par.results.result import Outcome
 
 
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """A fitted key."""
+class ParameterEstimate(NamedTuple):
+    """A fitted key: median and sd of its draws in the case's unit, and what they say of it."""
 
     key: str
-    #: in the case's unit: median and standard deviation of the draws
     estimate: float
     sd: float
     #: None on a side that is not limited
@@ -162,84 +147,13 @@ class FitResult(Outcome):
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
         """What speaks against taking the numbers as they are."""
-        experiments = self.problem.experiments
         return (
             *doubts.of_keys(self.entries),
             *(check.doubt for check in self.checks if check.doubt is not None),
             *doubts.of_readings(self.tests),
-            *doubts.of_inputs(experiments),
             *doubts.of_sizes(self.entries, self.process),
-            *doubts.of_units(experiments),
+            *doubts.of_units(self.problem.experiments),
         )
-
-    @property
-    def experiments(self) -> dict[str, dict[str, Any]]:
-        """Sum of squares and number of readings of each series, by experiment."""
-        experiments: dict[str, dict[str, Any]] = {}
-        for test in self.tests:
-            of_test = experiments.setdefault(test.experiment.name, {})
-            for series, part in test.records:
-                values = test.residuals[part][test.censored[part] == 0.0]
-                entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
-                if len(values) < series.n:
-                    entry["censored"] = series.n - len(values)
-                if series.sd_fitted:
-                    entry["sd"] = float(test.sd[part][0]) / series.factor
-                of_test[series.name] = entry
-        return experiments
-
-    @property
-    def nuisances(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Mean and sd of each nuisance, by experiment and series, in the data's unit.
-
-        That of thermal growth has the ``time`` constant's, s, and tells where it is with ``power``.
-        """
-        nuisances: dict[str, Any] = {}
-        for test in self.tests:
-            for number, series in enumerate(test.experiment.series):
-                for nuisance in series.nuisances:
-                    if (number, nuisance.kind) not in test.nuisances:
-                        continue
-                    entry = _mean_and_sd(test.nuisances[number, nuisance.kind])
-                    if nuisance.kind == "thermal":
-                        entry["time"] = _mean_and_sd(test.growth_times[number])
-                    entry |= {"power": True} if nuisance.power else {}
-                    of_test = nuisances.setdefault(test.experiment.name, {})
-                    of_test.setdefault(series.name, {})[nuisance.kind] = entry
-        return nuisances
-
-    @property
-    def input_readings(self) -> list[fit_folder.InputReadings]:
-        """Test, key, unit, times (s) and readings of each input, and the curve there."""
-        return [
-            (test.name, measured.key, measured.unit, measured.series.x,
-             measured.readings(test.case), measured.curve(test.case)(measured.series.x))
-            for test in self.problem.experiments
-            for measured in test.inputs
-        ]  # fmt: skip
-
-    @property
-    def _inputs(self) -> dict[str, dict[str, Any]]:
-        """Curve, scatter of the readings about it, and scale of each input, by test and key.
-
-        The curve is at ``time``, s; the scatter is a relative standard deviation.
-        """
-        inputs: dict[str, Any] = {}
-        for test in self.tests:
-            case, scaled = test.experiment.case, 0
-            for measured in test.experiment.inputs:
-                curve, readings = measured.curve(case), measured.readings(case)
-                off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
-                entry: dict[str, Any] = {
-                    "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
-                    "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
-                }  # fmt: skip
-                if measured.scale is not None:
-                    (mean, sd), drawn = measured.scale, test.nuisances[-1, str(scaled)]
-                    scaled += 1
-                    entry["scale"] = _mean_and_sd(mean + sd * drawn)
-                inputs.setdefault(test.experiment.name, {})[measured.key] = entry
-        return inputs
 
     def summary(self) -> str:
         """Return it in a few lines, as the command prints it."""
@@ -266,9 +180,7 @@ class FitResult(Outcome):
             "evidence_error": solution.evidence_error,
             "specimens": len({test.groups[0] for test in problem.experiments}),
             "process": {key: dict(entry) for key, entry in self.process.items()},
-            "experiments": self.experiments,
-            "nuisance": self.nuisances,
-            "inputs": self._inputs,
+            **_numbers_of_tests(self.tests),
             "histories": solution.histories,
             "failed_histories": solution.failed,
             "steps": solution.steps,
@@ -287,38 +199,53 @@ class FitResult(Outcome):
         }  # fmt: skip
 
     def save(self, path: str | Path) -> None:
-        """Write the files of its folder, see ``Outcome.save``.
-
-        The last one, fit.json, says that it is whole. A picture that cannot be drawn is left out,
-        with a warning.
-        """
-        folder, outcome, likelihoods = (
-            Path(path),
-            self.to_dict(),
-            self.solution.posterior.likelihoods,
-        )
-        drawn: dict[str, Callable[[], Figure]] = {
-            CURVES: self.plot,
-            ESTIMATES: partial(figures.of_keys, outcome, self.draws),
-            SPECIMENS: partial(figures.of_specimens, outcome),
-        }
-        with new_files(folder, fit_folder.FILES, "fit"):
-            fit_folder.save_readings(
-                folder / READINGS, self.problem, self.tests, self.input_readings, self.versions
-            )
-            fit_folder.save_draws(
-                folder / POSTERIOR, self.draws, self.tests, likelihoods, self.versions
-            )
-            if not self.problem.scatters:
-                del drawn[SPECIMENS]
-                (folder / SPECIMENS).unlink(missing_ok=True)
-            contents = {n: partial(picture, draw, str(folder / n)) for n, draw in drawn.items()}
-            write_contents(folder, {**contents, FIT: lambda: json_bytes(outcome)})
+        """Write the files of its folder, see ``Outcome.save``."""
+        likelihoods, outcome = self.solution.posterior.likelihoods, self.to_dict()
+        fit_folder.save(Path(path), outcome, self.problem, self.draws, self.tests, likelihoods)
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
-        inputs = [measured_input(*entry) for entry in self.input_readings]
-        return figures.of_readings(self.tests, inputs, self.problem.settings.level)
+        return fit_folder.figure_of_readings(self.tests, self.problem.settings.level)
+
+
+def _numbers_of_tests(tests: Sequence[FittedTest]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the numbers of series, their nuisances and measured inputs, by test.
+
+    Nuisances are in the data's unit; that of thermal growth has the ``time`` constant's, s. The
+    curve of an input is at ``time``, s; the scatter about it is a relative standard deviation.
+    """
+    experiments, nuisance, inputs = (dict[str, dict[str, Any]]() for _ in range(3))
+    for test in tests:
+        name, case, scaled = test.experiment.name, test.experiment.case, 0
+        of_series = experiments[name] = {}
+        for number, (series, part) in enumerate(test.records):
+            values = test.residuals[part][test.censored[part] == 0.0]
+            entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
+            if len(values) < series.n:
+                entry["censored"] = series.n - len(values)
+            if series.sd_fitted:
+                entry["sd"] = float(test.sd[part][0]) / series.factor
+            of_series[series.name], found = entry, {}
+            for kind, power in ((n.kind, n.power) for n in series.nuisances):
+                if (number, kind) in test.nuisances:
+                    found[kind] = _mean_and_sd(test.nuisances[number, kind])
+                    if kind == "thermal":
+                        found[kind]["time"] = _mean_and_sd(test.growth_times[number])
+                    found[kind] |= {"power": True} if power else {}
+            if found:
+                nuisance.setdefault(name, {})[series.name] = found
+        for measured in test.experiment.inputs:
+            curve, readings = measured.curve(case), measured.readings(case)
+            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+            entry = {
+                "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+            }  # fmt: skip
+            if measured.scale is not None:
+                (mean, sd), drawn = measured.scale, test.nuisances[-1, str(scaled)]
+                scaled, entry["scale"] = scaled + 1, _mean_and_sd(mean + sd * drawn)
+            inputs.setdefault(name, {})[measured.key] = entry
+    return {"experiments": experiments, "nuisance": nuisance, "inputs": inputs}
 
 
 def _mean_and_sd(draws: FloatArray) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -13,10 +12,8 @@ from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
     Problem,
-    records,
     reflected,
 )
-from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.users_units import in_users_unit, specific_wear_rate
@@ -185,17 +182,18 @@ def _quantiles(
 
 def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each body whose wear is random."""
-    entries, posterior = {}, solution.posterior
-    level = solution.problem.settings.level
+    problem, posterior, entries = solution.problem, solution.posterior, {}
+    level, depths = problem.settings.level, solution.depths.tolist()
     shares = posterior.shares(solution.theta, posterior.known)
-    for body, (key, process) in enumerate(solution.problem.settings.process.items()):
-        share, depth = shares[:, body], float(solution.depths[body])
-        between = _between_readings(posterior.likelihoods, body)
-        entry: dict[str, Any] = {
-            "depth": depth, "verdict": "identified",
-            "between_readings": None if between is None else between * depth,
-        }  # fmt: skip
+    records = [s for test in problem.experiments for s in test.series if not s.profile]
+    most = max((record.n for record in records), default=0)
+    for (key, process), share, depth in zip(
+        problem.settings.process.items(), shares.T, depths, strict=True
+    ):
+        between = depth / (most - 1) if most > _SEVERAL else None
+        entry: dict[str, Any] = {"depth": depth, "verdict": "identified"}
         entries[key] = entry
+        entry["between_readings"] = between
         if not process.fitted:
             known = float(share[0])
             size = process.size or known**2 * depth
@@ -207,21 +205,9 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
         if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
             entry["verdict"] = "not identified"
         entry |= {"size": _quantiles(share**2 * depth, level), "share": found}
-        if between is not None and entry["size"]["estimate"] > between * depth:  # not normal
+        if between is not None and entry["size"]["estimate"] > between:  # not normal
             entry["size"]["interval"] = entry["share"]["interval"] = [None, None]
     return entries
-
-
-def _between_readings(likelihoods: Sequence[EmulatedLikelihood], body: int) -> float | None:
-    """Return the median depth worn between two readings of records, over the largest of all."""
-    steps = []
-    for likelihood in (one.likelihood for one in likelihoods):
-        depth = likelihood.setting.clocks[body][1]
-        steps += [
-            np.diff(np.unique(depth[part])) for series, part in records(likelihood.test.series)
-            if series.n > _SEVERAL and not series.profile
-        ]  # fmt: skip
-    return float(np.median(np.concatenate(steps))) if steps else None
 
 
 def direction(

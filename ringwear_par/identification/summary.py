@@ -114,13 +114,15 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     failed = [(name, law["error"]) for name, law in laws.items() if "error" in law]
     solved = {name: law for name, law in laws.items() if "error" not in law}
-    shares = probabilities({name: law["evidence"] for name, law in solved.items()})
+    whole = np.logaddexp.reduce([law["evidence"] for law in solved.values()])
     best, rows = min(law["aic"] for law in solved.values()), []
     for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
         first = [key_rows(key, entry)[0] for key, entry in law["parameters"].items()]
         parameters = ", ".join(f"{row.label} {row.value}" for row in first)
         more = f"{law['aic'] - best:+.1f}"
-        share = f"{shares[name]:.2g}" if shares.get(name, 0.0) >= 1e-4 else "< 1e-4"
+        # as if all laws were equally probable before
+        probability = float(np.exp(law["evidence"] - whole))
+        share = f"{probability:.2g}" if probability >= 1e-4 else "< 1e-4"
         verdict = "does not fit" if law["flagged"] else "fits"
         if law["p_value"] is None:
             verdict = "not tested"
@@ -203,15 +205,6 @@ def process_lines(outcome: Entry) -> list[str]:
         text += f" ({100.0 * outcome['level']:g} %: {low:.2g} to {high:.2g} %)" * (low == low)
         lines.append(f"{text}; events of {1e6 * size['estimate']:.3g} nm  {entry['verdict']}")
     return lines
-
-
-def probabilities(evidences: Mapping[str, float | None]) -> dict[str, float]:
-    """Return the probability of each law whose evidence is known, as if all were equal before."""
-    known = {name: value for name, value in evidences.items() if value is not None}
-    if not np.isfinite(max(known.values(), default=-np.inf)):
-        return {}
-    shares = np.exp(np.array([*known.values()]) - max(known.values()))
-    return dict(zip(known, (shares / shares.sum()).tolist(), strict=True))
 
 
 def check_rows(outcome: Entry) -> list[tuple[str, str, str, str]]:

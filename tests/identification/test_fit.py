@@ -55,7 +55,7 @@ def test_two_tests_tell_both_numbers(found):
     lines = found.summary().splitlines()
     (line,) = (line for line in lines if line.startswith("  archard: "))
     assert line.endswith("does not fit")
-    fitted = found.experiments["test 2"][f"profile.lower at {END:g} s"]
+    fitted = found.to_dict()["experiments"]["test 2"][f"profile.lower at {END:g} s"]
     assert 1e-3 * fitted["sd"] == pytest.approx(SD_PROFILE, rel=0.25)
     assert fitted["chi2"] == pytest.approx(fitted["n"], rel=0.1)
 
@@ -199,7 +199,7 @@ def test_outliers_do_not_count(tables, comm, tmp_path):
         write_table(tmp_path / f"{number}.csv", ("t_s", "z_um"), t, z)
         data["nuisance"] = {"offset": {}}
     robust = rw.fit(given, comm)
-    offset = robust.nuisances["test 1"]["penetration"]["offset"]["estimate"]
+    offset = robust.to_dict()["nuisance"]["test 1"]["penetration"]["offset"]["estimate"]
     assert offset == pytest.approx(1.15, abs=0.15)  # and half of the drift
     assert near(robust)
     assert (robust.p_value, robust.flagged) == (None, False)
@@ -293,7 +293,7 @@ def test_limits_of_a_record(comm, tmp_path):
     tables = fit_tables(tmp_path, [one_test("a", 80.0, depth, **{P0: 25.0})])
     del tables["fit"]["parameters"][P0]
     found = rw.fit(tables, comm)
-    of_record = found.experiments["a"]["penetration"]
+    of_record = found.to_dict()["experiments"]["a"]["penetration"]
     assert 20 < of_record["censored"] < of_record["n"] == 50
     assert found.freedom == pytest.approx(50 - of_record["censored"] - 1, abs=0.2)
     assert near(found)

@@ -9,7 +9,7 @@ from scipy.stats import expon, uniform
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.key_estimates import judged
-from ringwear_par.identification.summary import digits_of, key_rows, limits, number, probabilities
+from ringwear_par.identification.summary import digits_of, key_rows, limits, number
 from ringwear_par.identification.users_units import in_users_unit, specific_wear_rate
 
 K, P0 = "wear.lower.k", "wear.lower.p0"
@@ -87,5 +87,3 @@ def test_numbers_as_people_read_them():
     assert [number(v) for v in (34567.0, 1.2345e-7, 2.5)] == ["34600", "1.23e-07", "2.5"]
     words = ["less than 0.5", "more than 0.5", "no limit within its bounds"]
     assert [limits(ends) for ends in ([None, 0.5], [0.5, None], [None, None])] == words
-    assert probabilities({"a": 0.0, "b": np.log(3.0)}) == pytest.approx({"a": 0.25, "b": 0.75})
-    assert probabilities({"a": -np.inf, "b": -np.inf, "c": None}) == {}

@@ -7,10 +7,9 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
-from parts import drawn_series
+from parts import drawn_series, figure_of_keys
 
 import ringwear_par as rw
-from ringwear_par.identification.figures import of_keys
 from ringwear_par.pictures import fit_panels, key_panels
 
 
@@ -70,7 +69,7 @@ def test_residuals_are_data_less_model(found):
 
 def test_densities_and_pairs_are_those_of_the_draws(found):
     """With the interval's ends, one where there is one limit, and the verdict."""
-    check_texts(of_keys(found.to_dict(), found.draws))
+    check_texts(figure_of_keys(found.to_dict(), found.draws))
     values = found.draws.values(found.draws.material)
     draws, outcome = dict(zip(found.draws.keys, values.T, strict=True)), found.to_dict()
     ((alone,), (pair, _)) = key_panels.fitted_keys(outcome, draws)

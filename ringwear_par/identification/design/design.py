@@ -6,7 +6,6 @@ candidate, at a few draws of what is known, tell what every combination of them 
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,14 @@ from ringwear_par.files.folders import BARS, DESIGN, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
 from ringwear_par.identification.definition.problem import Criterion, Problem
-from ringwear_par.identification.design.candidates import LOADS, Candidate, candidates
-from ringwear_par.identification.design.information import Before, before_tests, informations
+from ringwear_par.identification.design.information import (
+    LOADS,
+    Before,
+    Candidate,
+    before_tests,
+    candidates,
+    informations,
+)
 from ringwear_par.identification.fit_command import into_folder
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
@@ -53,9 +58,9 @@ class Design:
     sd: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DesignResult(Outcome):
-    """The result of ``design``: all tests that could be made, and what any of them would tell."""
+    """The result of ``design``: all tests that could be made, and the best of them."""
 
     #: the fit
     problem: Problem
@@ -63,8 +68,12 @@ class DesignResult(Outcome):
     before: Before
     #: (c,) tests that have histories
     candidates: tuple[Candidate, ...]
-    #: (c, d, m, m) information in each about the unknowns of the material, at each draw
-    information: FloatArray
+    #: (c, m) predicted standard deviations of values after each candidate alone
+    single: FloatArray
+    #: without further tests
+    today: Design
+    #: the best ones that differ in more than durations, the best first
+    designs: tuple[Design, ...]
     #: folder of the earlier fit that counts, "" for none
     after: str
     #: number of tests that have no history, and why the first one has none
@@ -72,83 +81,6 @@ class DesignResult(Outcome):
     reason: str
     #: number of histories
     histories: int
-
-    @property
-    def today(self) -> Design:
-        """What is known without further tests."""
-        return self._design(np.zeros_like(self.information[0]))
-
-    @property
-    def single(self) -> FloatArray:
-        """(c, m) predicted standard deviations after each candidate alone."""
-        return self._sd_of_values(self.information)
-
-    def _sd_of_values(self, information: FloatArray) -> FloatArray:
-        """Return standard deviations (..., m) of values by information (..., d, m, m)."""
-        sd = self._sd(information)
-        return np.where(sd > self.before.vague, np.inf, sd * self.before.slopes)
-
-    def _sd(self, information: FloatArray) -> FloatArray:
-        """Return standard deviations (..., m) of unknowns, of their mean variance over draws."""
-        covariance = np.linalg.inv(np.linalg.inv(self.before.covariance) + information)
-        sd: FloatArray = np.sqrt(np.diagonal(covariance.mean(axis=-3), axis1=-2, axis2=-1))
-        return sd
-
-    def _gain(self, information: FloatArray) -> FloatArray:
-        """Return the logarithms (...) of how much smaller the ellipsoid becomes, means of draws."""
-        precision = np.linalg.inv(self.before.covariance)
-        gain = np.linalg.slogdet(precision + information)[1] - np.linalg.slogdet(precision)[1]
-        return 0.5 * gain.mean(axis=-1)
-
-    def _design(self, information: FloatArray, tests: Sequence[int] = ()) -> Design:
-        """Return the design of tests that have information (d, m, m) together."""
-        gain = float(self._gain(information)) / np.log(2.0)
-        return Design((*tests,), gain, self._sd_of_values(information))
-
-    def _scores(self, tests: IntArray) -> FloatArray:
-        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time.
-
-        By "D" the gain, by "A" minus the mean variance over the widths of bounds.
-        """
-        low, high = self.problem.unknown_bounds
-        seconds = np.array([test.seconds for test in self.candidates])
-        scores = np.full(len(tests), -np.inf)
-        within = np.flatnonzero(seconds[tests].sum(axis=1) <= self.problem.design.time_limit)
-        for rows in np.array_split(within, len(within) // _AT_ONCE + 1):
-            information = sum(self.information[column] for column in tests[rows].T)
-            if self.problem.design.criterion == "D":
-                scores[rows] = self._gain(information)
-            else:
-                scores[rows] = -np.square(self._sd(information) / (high - low)).mean(axis=-1)
-        return scores
-
-    @cached_property
-    def designs(self) -> tuple[Design, ...]:
-        """The best designs that differ in more than durations, the best first.
-
-        All of one or two tests are looked at. Of more, the best pair that leaves time for the
-        shortest tests beside it; then each is exchanged for the best one, twice.
-        """
-        count, every = self.problem.design.experiments, np.arange(len(self.candidates))
-        tests = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
-        if count > 2:
-            shortest = min(every, key=lambda i: self.candidates[i].seconds)
-            filled = np.column_stack([tests, np.full((len(tests), count - 2), shortest)])
-            best, looked = filled[self._scores(filled).argmax()], []
-            for place in 2 * [*range(2, count), 0, 1]:
-                looked.append(np.tile(best, (len(every), 1)))
-                looked[-1][:, place] = every
-                best = looked[-1][self._scores(looked[-1]).argmax()]
-            tests = np.concatenate(looked)
-        scores, kinds = self._scores(tests), dict[Hashable, Design]()
-        for row in np.argsort(-scores, kind="stable").tolist():
-            if len(kinds) == _LISTED or scores[row] == -np.inf:
-                break
-            some = tests[row].tolist()
-            kind = tuple(sorted(self.candidates[i].kind for i in some))
-            if kind not in kinds:
-                kinds[kind] = self._design(self.information[some].sum(axis=0), some)
-        return tuple(kinds.values())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of design.json."""
@@ -289,19 +221,63 @@ def design(
         good = np.isfinite(information).all(axis=(1, 2, 3))
         left = tuple(test for test, has in zip(tests, good, strict=True) if has)
         shortest = min((test.seconds for test in left), default=np.inf)
-        if shortest * space.experiments > space.time_limit or not left:
+        if not left or shortest * space.experiments > space.time_limit:
             raise ComputationError(
                 f"{problem.name}: design: {(~good).sum()} of {len(tests)} tests cannot be "
                 f"computed, which leaves too few: {readings.reason}"
             )
-        result = DesignResult(
-            problem, before, left, information[good], str(after or ""), len(tests) - len(left),
-            readings.reason, readings.count,
+        today, *designs = _designs(problem, before, left, information[good])
+        return DesignResult(
+            problem=problem, before=before, candidates=left, today=today, designs=tuple(designs),
+            single=before.sd_of_values(information[good]), after=str(after or ""),
+            failed=len(tests) - len(left), reason=readings.reason, histories=readings.count,
         )  # fmt: skip
-        assert result.designs  # once, on this rank
-        return result
 
     return readings.lead(lead)
+
+
+def _designs(
+    problem: Problem, before: Before, tests: Sequence[Candidate], information: FloatArray
+) -> list[Design]:
+    """Return no test, and the best ones by what all tell, (c, d, m, m), see ``informations``.
+
+    All of one or two tests are looked at. Of more, the best pair that leaves time for the shortest
+    tests beside it; then each is exchanged for the best one, twice.
+    """
+    count, every = problem.design.experiments, np.arange(len(tests))
+    seconds = np.array([test.seconds for test in tests])
+    low, high = problem.unknown_bounds
+
+    def scores(rows: IntArray) -> FloatArray:
+        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time."""
+        found = np.full(len(rows), -np.inf)
+        within = np.flatnonzero(seconds[rows].sum(axis=1) <= problem.design.time_limit)
+        for some in np.array_split(within, len(within) // _AT_ONCE + 1):
+            gain, sd = before.then(sum(information[column] for column in rows[some].T))
+            mean_variance = np.square(sd / (high - low)).mean(axis=-1)
+            found[some] = gain if problem.design.criterion == "D" else -mean_variance
+        return found
+
+    rows = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
+    if count > 2:
+        filled = np.column_stack([rows, np.full((len(rows), count - 2), seconds.argmin())])
+        best, looked = filled[scores(filled).argmax()], []
+        for place in 2 * [*range(2, count), 0, 1]:
+            looked.append(np.tile(best, (len(every), 1)))
+            looked[-1][:, place] = every
+            best = looked[-1][scores(looked[-1]).argmax()]
+        rows = np.concatenate(looked)
+    chosen, found = dict[Hashable, list[int]]({(): []}), scores(rows)
+    for row in np.argsort(-found, kind="stable").tolist():
+        if len(chosen) > _LISTED or found[row] == -np.inf:
+            break
+        kind = tuple(sorted(tests[i].kind for i in rows[row]))
+        chosen.setdefault(kind, rows[row].tolist())
+    together = [information[some].sum(axis=0) for some in chosen.values()]
+    return [
+        Design(tuple(some), float(before.then(told)[0] / np.log(2.0)), before.sd_of_values(told))
+        for some, told in zip(chosen.values(), together, strict=True)
+    ]
 
 
 def _check(problem: Problem) -> None:

@@ -1,20 +1,31 @@
-"""What is known of the fitted keys before the next tests, and what each test would tell of them.
+"""Tests that could be made, by ``[design]``, and what each would tell of the fitted keys.
 
 The information of a test about the unknowns is J' C^-1 J: J by differences of histories, C of all
 noise, nuisances projected out. A test of a new specimen tells less of a material that scatters.
 """
 
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.units import factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import Experiment, Loss, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import (
+    DesignSpace,
+    Experiment,
+    Loss,
+    Problem,
+    Series,
+    body_of_wear,
+)
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, prior_sd
@@ -22,9 +33,81 @@ from ringwear_par.identification.likelihood import Growth, Noise, Setting
 from ringwear_par.identification.noise import STUDENT
 from ringwear_par.identification.sampling import standardised
 from ringwear_par.identification.setting import random_wear
+from ringwear_par.results.key_numbers import time_words
 
+#: keys of the load, of which one may vary
+LOADS = ("load.pressure", "load.force")
+#: how many values of a range are tried
+_LEVELS = {"load.omega": 3, "load.pressure": 15, "load.force": 15, "time.end": 10}
+#: fewest readings over time of a record, which continues at its rate in a longer test
+_RECORD = 10
 #: draws at which readings are compared, and of priors from which these are chosen
 _DRAWS, _MANY = 6, 512
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One test that could be made."""
+
+    #: of the case, those that vary
+    keys: Mapping[str, float]
+    #: its case, and when it is read
+    experiment: Experiment
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        return self.experiment.case.time.end
+
+    @property
+    def kind(self) -> tuple[float, ...]:
+        """What differs first: the load, or speed and duration where it does not vary."""
+        loads = tuple(self.keys[key] for key in LOADS if key in self.keys)
+        return loads or (self.keys.get("load.omega", 0.0), self.seconds)
+
+    def name(self, space: DesignSpace) -> str:
+        """Return the test in a few words, in the units in which ranges are written."""
+        words = []
+        for key in (*LOADS, "load.omega", "time.end"):
+            base = BY_PATH[key].unit
+            unit = space.units.get(key, "" if key == "time.end" else base)
+            if not unit:
+                words.append(time_words(self.seconds, self.seconds))
+            elif key in self.keys or key == "time.end":
+                value = self.keys.get(key, self.seconds)
+                words.append(f"{value / factor(unit, base):.4g} {unit}")
+        return ", ".join(words)
+
+
+def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
+    """Return the tests of a space, measured as ``template``; InputError for impossible values.
+
+    Records go on at their rate, with their median noise; profiles are measured at the end, that of
+    a body as its last one in the file; all else is read at its part of the test.
+    """
+    usual, tests = template.case.time.end, list[Candidate]()
+    read = {s.quantity if s.profile else s.name: s for s in template.series}
+    varied = [key for key in _LEVELS if key in space.ranges]
+    levels = (np.unique(np.linspace(*space.ranges[key], _LEVELS[key])).tolist() for key in varied)
+    for values in itertools.product(*levels):
+        keys = dict(zip(varied, values, strict=True))
+        if (end := keys.get("time.end", usual)) <= space.time_limit:
+            series = tuple(_scaled(s, end, end / usual) for s in read.values())
+            name, case = f"candidate {len(tests) + 1}", template.case.replace(keys)
+            tests.append(Candidate(keys, Experiment(name, case, series)))
+    return tests
+
+
+def _scaled(series: Series, end: float, longer: float) -> Series:
+    """Return the readings of a test that ends at ``end``, longer by a factor."""
+    if series.profile:
+        return replace(series, at=end)
+    if series.n < _RECORD:
+        return replace(series, x=series.x * longer)
+    count = max(round(series.n * longer), 2)
+    x = longer * np.linspace(series.x[0], series.x[-1], count)
+    sd = np.full(count, np.median(series.sd))
+    return replace(series, x=x, value=np.zeros(count), sd=sd, lines=None, censored=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +128,22 @@ class Before:
     scatter: FloatArray
     #: (bodies,) mm, sizes of random wear; NaN where a share is expected
     sizes: FloatArray
+
+    def then(self, information: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is known with information (..., d, m, m) at each of the draws.
+
+        How much the logarithm of the ellipsoid becomes smaller (...), the mean of the draws, and
+        standard deviations (..., m) of unknowns, of their mean variance.
+        """
+        precision = np.linalg.inv(self.covariance) + information
+        gain = np.linalg.slogdet(precision)[1] + np.linalg.slogdet(self.covariance)[1]
+        covariance = np.linalg.inv(precision).mean(axis=-3)
+        return 0.5 * gain.mean(axis=-1), np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+
+    def sd_of_values(self, information: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of values, infinite: not identified."""
+        _, sd = self.then(information)
+        return np.where(sd > self.vague, np.inf, sd * self.slopes)
 
 
 def before_tests(problem: Problem, folder: Path | None) -> Before:
