@@ -1,7 +1,6 @@
 """Numbers of keys in the units of their users, and as specific wear rates."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,8 @@ from ringwear_par.identification.definition.problem import FittedParameter, Prob
 from ringwear_par.wear.laws.threshold import AboveThreshold
 
 _FRICTION = "contact.friction"
+#: mm3/(N m) in 1/MPa
+_UNIT = factor(SPECIFIC, None)
 
 Entry = Mapping[str, Any]
 
@@ -58,44 +59,29 @@ def specific_wear_rate(
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
     The values (s, m) are draws of the keys.
     """
-    body, entry, unit = (
-        key.removeprefix("wear.").removesuffix(".k"),
-        entries[key],
-        factor(SPECIFIC, None),
-    )
-    threshold = entries.get(f"wear.{body}.p0", {}).get("estimate")
-    cases = [experiment.case for experiment in problem.experiments]
-    shares = {_share(case, body, threshold) for case in cases} if body in BODIES else {None}
-    (share, *others) = shares
+    body, entry, unit = key.removeprefix("wear.").removesuffix(".k"), entries[key], _UNIT
+    if body not in BODIES or f"wear.{body}.p0" in entries:
+        return None
+    (share, *others) = {_share(test.case, body) for test in problem.experiments}
     if share is None or others:
         return None
     rate = _scaled(entry, unit / share)
-    if share != 1.0 and _FRICTION in problem.keys:
+    if share != 1.0 and _FRICTION in entries:
         share = float(entries[_FRICTION]["estimate"])
         k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
         level, products = problem.settings.level, k * mu / unit
         ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)]).tolist()
-        rate = {
-            "estimate": float(np.median(products)),
-            "sd": float(products.std()),
-            "interval": ends,
-        }
-    rate = {name: rate[name] for name in ("estimate", "sd", "interval")}
-    told = {} if share == 1.0 else {"mu": share}
-    return {
-        "unit": SPECIFIC,
-        **rate,
-        **told,
-        CUSTOMARY: rate["estimate"] * unit / factor(CUSTOMARY, None),
-    }
+        median, sd = float(np.median(products)), float(products.std())
+        rate = {"estimate": median, "sd": sd, "interval": ends}
+    told = {"unit": SPECIFIC, **{name: rate[name] for name in ("estimate", "sd", "interval")}}
+    told[CUSTOMARY] = rate["estimate"] * unit / factor(CUSTOMARY, None)
+    return told if share == 1.0 else {**told, "mu": share}
 
 
-def _share(case: Case, body: str, threshold: float | None) -> float | None:
+def _share(case: Case, body: str) -> float | None:
     """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
     law, mu = getattr(case, f"wear_{body}"), case.friction
     if not isinstance(mu, float) or not isinstance(getattr(law, "k", None), float):
         return None
-    if threshold is not None:
-        law = replace(law, p0=threshold)
-    ratio = getattr(law, "per_energy", lambda mu: None)(mu)
+    ratio = law.per_energy(mu)
     return None if ratio is None else round(float(ratio * mu / law.k), 12)

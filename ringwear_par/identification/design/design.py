@@ -47,97 +47,51 @@ _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """Tests to make together, and what they would tell."""
-
-    #: their candidates, by number
-    tests: tuple[int, ...]
-    #: bits, information on all keys: one bit halves one sd
-    gain: float
-    #: (m,) predicted standard deviations of the keys' values; infinite: not identified
-    sd: FloatArray
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class DesignResult(Outcome):
     """The result of ``design``: all tests that could be made, and the best of them."""
 
-    #: the fit
-    problem: Problem
-    #: what is known before
-    before: Before
+    #: of design.json
+    content: Mapping[str, Any]
     #: (c,) tests that have histories
     candidates: tuple[Candidate, ...]
     #: (c, m) predicted standard deviations of values after each candidate alone
     single: FloatArray
-    #: without further tests
-    today: Design
-    #: the best ones that differ in more than durations, the best first
-    designs: tuple[Design, ...]
-    #: folder of the earlier fit that counts, "" for none
-    after: str
-    #: number of tests that have no history, and why the first one has none
-    failed: int
-    reason: str
-    #: number of histories
-    histories: int
+
+    @property
+    def designs(self) -> list[dict[str, Any]]:
+        """The best designs that differ in more than durations, the best first.
+
+        ``name``, ``experiments`` (keys of each test), ``seconds``, ``gain`` in bits (one bit halves
+        one sd), and predicted standard deviations ``sd`` by key, None where it is not identified.
+        """
+        designs: list[dict[str, Any]] = self.content["designs"]
+        return designs
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of design.json."""
-        problem, space = self.problem, self.problem.design
-        scales = {}
-        for p, value in zip(problem.parameters, self.before.values.tolist(), strict=True):
-            unit = p.unit or unit_of_key(problem, p.key).strip()
-            scale = {"factor": 1.0 / unit_scale(p), "unit": unit}
-            scales[p.key] = {"factor": 100.0 / value, "unit": "%"} if p.log else scale
-
-        def entry(design: Design) -> dict[str, Any]:
-            sd = [value if np.isfinite(value) else None for value in design.sd.tolist()]
-            return {"gain": design.gain, "sd": dict(zip(problem.keys, sd, strict=True))}
-
-        designs = []
-        for design in self.designs:
-            tests = [self.candidates[i] for i in design.tests]
-            designs.append(
-                {"name": " + ".join(test.name(space) for test in tests),
-                 "experiments": [dict(test.keys) for test in tests],
-                 "seconds": sum(test.seconds for test in tests), **entry(design)}
-            )  # fmt: skip
-        return {
-            "criterion": space.criterion,
-            "parameters": dict(zip(problem.keys, self.before.values.tolist(), strict=True)),
-            "after": self.after or None, "candidates": len(self.candidates),
-            "failed": self.failed, "reason": self.reason or None,
-            "histories": self.histories, "measured_as": problem.experiments[0].name,
-            "sd_scales": scales, "designs": designs, "today": entry(self.today),
-            "versions": versions(),
-        }  # fmt: skip
+        return dict(self.content)
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
-        problem, content = self.problem, self.to_dict()
-        about = ", ".join(
-            f"{p.key} = {content['parameters'][p.key] / unit_scale(p):.4g} "
-            f"{p.unit or unit_of_key(problem, p.key).strip()}".rstrip()
-            for p in problem.parameters
-        )
+        content = self.content
         around = (
-            "without priors or an earlier fit (--after) it holds there only"
-            if np.isfinite(self.before.vague).all()
-            else f"means over {len(self.before.draws)} draws"
-        )
+            f"means over {content['draws']} draws" if content["draws"] > 1
+            else "without priors or an earlier fit (--after) it holds there only"
+        )  # fmt: skip
         lines = [
-            f"{problem.name}: {len(self.designs[0].tests)} of {content['candidates']} tests, "
-            f"{_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
-            f"{self.histories} histories",
-            f"{f'after {self.after}' if self.after else 'at the start'}: {about}; {around}",
+            f"{content['fit']}: {len(self.designs[0]['experiments'])} of {content['candidates']} "
+            f"tests, {_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
+            f"{content['histories']} histories",
+            f"{f'after {after}' if (after := content['after']) else 'at the start'}: "
+            f"{', '.join(content['about'])}; {around}",
         ]
-        if scattering := [p.key for p in problem.parameters if p.scatter is not None]:
+        if content["scatter"]:
             lines.append(
-                f"each test is of a new specimen, and {', '.join(scattering)} differs between "
-                "specimens, by as much as is taken as known; numbers below are of the material"
+                f"each test is of a new specimen, and {', '.join(content['scatter'])} differs "
+                "between specimens, by as much as is taken as known; numbers below are of the "
+                "material"
             )
-        rows = [{"name": "today", **content["today"]}, *content["designs"][:_SHOWN]]
+        rows = [{"name": "today", **content["today"]}, *self.designs[:_SHOWN]]
         width = max(len(row["name"]) for row in rows)
         for row in rows:
             sds = []
@@ -147,23 +101,22 @@ class DesignResult(Outcome):
                 sds.append(f"{key} sd {number}".rstrip() if number else f"{key} not identified")
             gain = f"; gain {row['gain']:.3g} bits" * (row["name"] != "today")
             lines.append(f"  {row['name'].ljust(width)}  {'; '.join(sds)}{gain}")
-        if self.failed:
-            tests = counted(self.failed, "test")
-            lines.append(f"{tests} without a history are left out: {self.reason}")
+        if content["failed"]:
+            tests = counted(content["failed"], "test")
+            lines.append(f"{tests} without a history are left out: {content['reason']}")
         return "\n".join(lines)
 
     def plot(self) -> Figure:
         """Return bars of the predicted standard deviations of the best designs."""
-        content = self.to_dict()
-        panels = design_panels(content)
-        lines = sum(len(entry["experiments"]) for entry in content["designs"])
+        panels = design_panels(self.content)
+        lines = sum(len(entry["experiments"]) for entry in self.designs)
         return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
 
     def save(self, path: str | Path) -> None:
         """Write both files into a folder, see ``write_outcome``."""
         contents = {
             BARS: lambda: picture(self.plot, str(Path(path, BARS))),
-            DESIGN: lambda: json_bytes(self.to_dict()),
+            DESIGN: lambda: json_bytes(self.content),
         }
         write_outcome(Path(path), "fit", contents)
 
@@ -198,7 +151,7 @@ def design(
     --------
     >>> import ringwear_par as rw
     >>> best = rw.design("scripts/fit/plan.toml").designs[0]
-    >>> len(best.tests)
+    >>> len(best["experiments"])
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
@@ -227,18 +180,30 @@ def design(
                 f"computed, which leaves too few: {readings.reason}"
             )
         today, *designs = _designs(problem, before, left, information[good])
-        return DesignResult(
-            problem=problem, before=before, candidates=left, today=today, designs=tuple(designs),
-            single=before.sd_of_values(information[good]), after=str(after or ""),
-            failed=len(tests) - len(left), reason=readings.reason, histories=readings.count,
-        )  # fmt: skip
+        values, scales, about = before.values.tolist(), {}, []
+        for p, value in zip(problem.parameters, values, strict=True):
+            scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
+            about.append(f"{p.key} = {value / scale:.4g} {unit}".rstrip())
+            of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
+            scales[p.key] = dict(zip(("factor", "unit"), of_sd, strict=True))
+        content = {
+            "fit": problem.name, "criterion": space.criterion, "after": str(after or "") or None,
+            "parameters": dict(zip(problem.keys, values, strict=True)), "about": about,
+            "scatter": [p.key for p in problem.parameters if p.scatter is not None],
+            "draws": 1 if np.isfinite(before.vague).all() else len(before.draws),
+            "candidates": len(left), "failed": len(tests) - len(left),
+            "reason": readings.reason or None, "histories": readings.count,
+            "measured_as": problem.experiments[0].name, "sd_scales": scales, "today": today,
+            "designs": designs, "versions": versions(),
+        }  # fmt: skip
+        return DesignResult(content, left, before.sd_of_values(information[good]))
 
     return readings.lead(lead)
 
 
 def _designs(
     problem: Problem, before: Before, tests: Sequence[Candidate], information: FloatArray
-) -> list[Design]:
+) -> list[dict[str, Any]]:
     """Return no test, and the best ones by what all tell, (c, d, m, m), see ``informations``.
 
     All of one or two tests are looked at. Of more, the best pair that leaves time for the shortest
@@ -273,11 +238,18 @@ def _designs(
             break
         kind = tuple(sorted(tests[i].kind for i in rows[row]))
         chosen.setdefault(kind, rows[row].tolist())
-    together = [information[some].sum(axis=0) for some in chosen.values()]
-    return [
-        Design(tuple(some), float(before.then(told)[0] / np.log(2.0)), before.sd_of_values(told))
-        for some, told in zip(chosen.values(), together, strict=True)
-    ]
+    entries = []
+    for some in chosen.values():
+        told, together = information[some].sum(axis=0), [tests[i] for i in some]
+        sd = [v if np.isfinite(v) else None for v in before.sd_of_values(told).tolist()]
+        entries.append(
+            {"name": " + ".join(test.name(problem.design) for test in together),
+             "experiments": [dict(test.keys) for test in together],
+             "seconds": sum(test.seconds for test in together),
+             "gain": float(before.then(told)[0] / np.log(2.0)),
+             "sd": dict(zip(problem.keys, sd, strict=True))}
+        )  # fmt: skip
+    return entries
 
 
 def _check(problem: Problem) -> None:
