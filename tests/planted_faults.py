@@ -201,7 +201,7 @@ FAULTS = [
           "sd=sd / np.sqrt(", "sd=2.0 * sd / np.sqrt(", "identification/design/test_design.py"),
     Fault("next specimens", "identification/design/information.py",
           "+ alone * scatter, alone)", "+ alone / scatter, alone)",
-          "identification/design/test_design.py -k specimens_that_differ"),
+          "identification/design/test_design.py -k closed_form"),
     # rigs, predictions, running tests
     Fault("steadiness", "measuring/analysis/steady_part.py", "float(np.sqrt(12.0))",
           "float(np.sqrt(3.0))", "measuring/test_steady_part.py"),

@@ -51,12 +51,12 @@ def tables(laboratory):
 def weighings(laboratory):
     """A function that makes a plan of single weighings, of which log k alone is fitted."""
 
-    def made(experiments=1, **fit):
+    def made(experiments, key, **fit):
         mass = {"quantity": "mass.lower", "unit": "g", "sd": SD_MASS, "density": 1.9e-3}
         mass |= {"times": [END]}
         found = fit_tables(laboratory[0], [one_test("a", 50.0, mass, **ARCHARD)])
-        key = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
-        key |= fit.pop("key", {"prior": {"normal": [1e-7, SD_PRIOR * 1e-7]}})
+        key |= {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
+        key |= {"prior": {"normal": [1e-7, SD_PRIOR * 1e-7]}}
         found["fit"] = {"parameters": {K: key}, **fit}
         vary = {"load.pressure": [20.0, 80.0]}
         return found | {"design": {"vary": vary, "budget": {"experiments": experiments}}}
@@ -64,44 +64,29 @@ def weighings(laboratory):
     return made
 
 
-def worn(found):
-    """Return the mass (g) and mean depth (mm) that the best test wears off."""
-    keys = found.designs[0]["experiments"][0]
-    case = next(test.experiment.case for test in found.candidates if test.keys == keys)
-    result = rw.simulate(case)
-    volume = result.histories["worn_volume_lower"][-1]
-    return 1.9e-3 * volume, volume / case.area
+@pytest.mark.parametrize(
+    ("count", "scatter", "size"), [(1, 0.0, 0.0), (2, 0.2, 0.0), (5, 0.2, 0.0), (1, 0.0, 1e-6)]
+)
+def test_weighings_in_closed_form(weighings, comm, count, scatter, size):
+    """Mass m of mean depth S goes with k: log k has a variance of (sd/m)^2 + size/S + scatter^2.
 
-
-def test_one_weighing_in_closed_form(weighings, comm):
-    """Mass goes with k: log k is known to sd/mass, and by its prior."""
-    found = rw.design(weighings(), comm)
-    mass, _ = worn(found)
+    That of a material is a share of it by the number of specimens, and by its prior.
+    """
+    key = {"scatter": scatter} if scatter else {}
+    process = {"process": {"wear.lower": {"size": size}}} if size else {}
+    found = rw.design(weighings(count, key, **process), comm)
     best, today = found.designs[0], found.content["today"]
-    assert best["experiments"] == [{"load.pressure": 80.0}]
-    by_reading = (mass / SD_MASS) ** 2
-    # mass at 6 draws of k about 1e-7
-    assert best["sd"][K] == pytest.approx(1e-7 * (SD_PRIOR**-2 + by_reading) ** -0.5, rel=0.03)
-    assert best["gain"] == pytest.approx(0.5 * np.log2(1.0 + SD_PRIOR**2 * by_reading), rel=0.01)
-    assert today["sd"][K] == pytest.approx(SD_PRIOR * 1e-7)
-    assert today["gain"] == 0.0
-
-
-@pytest.mark.parametrize("count", [2, 5])
-def test_specimens_that_differ_leave_what_their_number_leaves(weighings, comm, count):
-    """Of specimens that differ by 20 % two leave 14 %, whatever their tests are."""
-    found = rw.design(weighings(count, key={"scatter": 0.2}), comm)
-    assert found.designs[0]["sd"][K] == pytest.approx(1e-7 * 0.2 / np.sqrt(count), rel=0.01)
-
-
-def test_random_wear_counts(weighings, comm):
-    """A mass m of mean depth S has a variance sd^2 + size m^2/S."""
-    size = 1e-6  # mm
-    found = rw.design(weighings(key={}, process={"wear.lower": {"size": size}}), comm)
-    mass, depth = worn(found)
-    variance = (SD_MASS / mass) ** 2 + size / depth
-    assert variance > 2.0 * (SD_MASS / mass) ** 2
-    assert found.designs[0]["sd"][K] == pytest.approx(1e-7 * np.sqrt(variance), rel=0.01)
+    keys = best["experiments"][0]
+    case = next(test.experiment.case for test in found.candidates if test.keys == keys)
+    volume = rw.simulate(case).histories["worn_volume_lower"][-1]
+    variance = (SD_MASS / (1.9e-3 * volume)) ** 2 + size * case.area / volume + scatter**2
+    precision = SD_PRIOR**-2 + count / variance
+    # means over draws of k about 1e-7
+    assert best["sd"][K] == pytest.approx(1e-7 * precision**-0.5, rel=0.06)
+    assert best["gain"] == pytest.approx(0.5 * np.log2(SD_PRIOR**2 * precision), rel=0.03)
+    assert (today["sd"][K], today["gain"]) == (pytest.approx(SD_PRIOR * 1e-7), 0.0)
+    if not scatter:
+        assert best["experiments"] == [{"load.pressure": 80.0}]
 
 
 @pytest.mark.parametrize(
