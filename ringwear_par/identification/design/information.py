@@ -135,8 +135,9 @@ class Before:
         How much the logarithm of the ellipsoid becomes smaller (...), the mean of the draws, and
         standard deviations (..., m) of unknowns, of their mean variance.
         """
-        precision = np.linalg.inv(self.covariance) + information
-        gain = np.linalg.slogdet(precision)[1] + np.linalg.slogdet(self.covariance)[1]
+        before = np.linalg.inv(self.covariance)
+        precision = before + information
+        gain = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(before)[1]
         covariance = np.linalg.inv(precision).mean(axis=-3)
         return 0.5 * gain.mean(axis=-1), np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
 
