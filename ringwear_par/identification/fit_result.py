@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,24 +17,9 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.doubts import IMPROBABLE, Check
 from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.fitted_tests import FittedTest
-from ringwear_par.identification.key_estimates import Verdict
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.summary import summary
 from ringwear_par.results.result import Outcome
-
-
-class ParameterEstimate(NamedTuple):
-    """A fitted key: median and sd of its draws in the case's unit, and what they say of it."""
-
-    key: str
-    estimate: float
-    sd: float
-    #: None on a side that is not limited
-    interval: tuple[float | None, float | None]
-    #: whether the readings determine it
-    verdict: Verdict
-    #: what they determine instead, "" where they determine the key
-    direction: str
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +31,7 @@ class FitResult(Outcome):
     problem : with friction as torques tell it.
     solution : draws by the sampler, with the emulators.
     draws : of what the fit knows, in the order of chains.
-    entries, process : of the fitted keys and of random wear, as fit.json has them.
+    parameters, process : of the fitted keys and of random wear, as fit.json has them.
     tests : at the mode and among the draws.
     information : (2, tests, m) slopes of log p of each test at the mode, and minus its curvatures.
     versions : of the software.
@@ -57,7 +42,7 @@ class FitResult(Outcome):
     problem: Problem
     solution: Solution
     draws: Draws
-    entries: Mapping[str, dict[str, Any]]
+    parameters: Mapping[str, dict[str, Any]]
     process: Mapping[str, dict[str, Any]]
     tests: tuple[FittedTest, ...]
     information: FloatArray
@@ -66,19 +51,9 @@ class FitResult(Outcome):
     failed: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        estimates = ", ".join(f"{p.key} = {p.estimate:.3g} ({p.verdict})" for p in self.parameters)
-        return f"<FitResult: {estimates}; chi2 = {self.chi2:.4g} of {self.n} readings>"
-
-    @property
-    def parameters(self) -> tuple[ParameterEstimate, ...]:
-        """The fitted keys; of the material where they scatter."""
-        return tuple(
-            ParameterEstimate(
-                key, entry["estimate"], entry["sd"], tuple(entry["interval"]), entry["verdict"],
-                entry.get("direction", ""),
-            )
-            for key, entry in self.entries.items()
-        )  # fmt: skip
+        keys = self.parameters.items()
+        estimates = (f"{key} = {e['estimate']:.3g} ({e['verdict']})" for key, e in keys)
+        return f"<FitResult: {', '.join(estimates)}; chi2 = {self.chi2:.4g} of {self.n} readings>"
 
     @property
     def n(self) -> int:
@@ -141,17 +116,17 @@ class FitResult(Outcome):
             *doubts.of_computation(self.solution),
             *doubts.of_squares(self.chi2, self.freedom, self.p_value),
             *doubts.of_trends(self.tests),
-            *doubts.of_tests(self.problem, self.entries, self.information),
+            *doubts.of_tests(self.problem, self.parameters, self.information),
         )
 
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
         """What speaks against taking the numbers as they are."""
         return (
-            *doubts.of_keys(self.entries),
+            *doubts.of_keys(self.parameters),
             *(check.doubt for check in self.checks if check.doubt is not None),
             *doubts.of_readings(self.tests),
-            *doubts.of_sizes(self.entries, self.process),
+            *doubts.of_sizes(self.parameters, self.process),
             *doubts.of_units(self.problem.experiments),
         )
 
@@ -166,7 +141,7 @@ class FitResult(Outcome):
         for law in alternatives.values():
             del law["alternatives"], law["data"]
         return {
-            "parameters": {key: dict(entry) for key, entry in self.entries.items()},
+            "parameters": {key: dict(entry) for key, entry in self.parameters.items()},
             "keys": [*problem.keys],
             "covariance": np.atleast_2d(np.cov(self.draws.values(self.draws.material).T)).tolist(),
             "level": problem.settings.level,

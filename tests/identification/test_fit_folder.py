@@ -1,7 +1,6 @@
 """``ringwear fit`` and the folder that it writes: numbers, tables, draws, dry runs."""
 
 import json
-import pickle
 
 import h5py
 import numpy as np
@@ -83,12 +82,6 @@ def test_tables_for_spreadsheets(folder, tmp_path):
     place = header.index("residual over noise")
     chi2 = sum(one["chi2"] for of in stored["experiments"].values() for one in of.values())
     assert sum(row[place] ** 2 for row in readings) == pytest.approx(chi2)
-
-
-def test_a_fit_can_be_pickled(found):
-    """As between processes: there is no engine in it."""
-    assert K in repr(found)
-    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
 
 
 @pytest.mark.slow

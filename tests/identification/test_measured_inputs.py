@@ -75,8 +75,8 @@ def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables):
     nominal = read_fit(tables).experiments[0].case.friction(t)
     assert 3e-4 < np.abs(nominal / true - 1.0).max() < 2e-2
     found = rw.fit(tables, MPI.COMM_SELF)
-    (k,) = found.parameters
-    assert abs(k.estimate - TRUTH[K]) < 0.15 * k.sd
+    k = found.parameters[K]
+    assert abs(k["estimate"] - TRUTH[K]) < 0.15 * k["sd"]
     for inputs in found.to_dict()["inputs"].values():
         time, value = (np.array(inputs[MU][name]) for name in ("time", "value"))
         np.testing.assert_allclose(np.interp(t, time, value), true, rtol=1e-4)
@@ -89,14 +89,14 @@ def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
     scaled = changed(plain, ("experiment", 0, "input", 0, "scale"),
                      {"prior": {"normal": [1.1, 0.03]}})  # fmt: skip
     exact, found = (rw.fit(tables, MPI.COMM_SELF) for tables in (plain, scaled))
-    relative = [one.parameters[0].sd / one.parameters[0].estimate for one in (exact, found)]
+    before, after = exact.parameters[K], found.parameters[K]
+    relative = [k["sd"] / k["estimate"] for k in (before, after)]
     assert relative[1] == pytest.approx(np.hypot(relative[0], 0.03 / 1.1), rel=0.06)
     scale = found.to_dict()["inputs"]["test 1"][MU]["scale"]
     assert scale["sd"] == pytest.approx(0.03, rel=0.1)
     assert scale["estimate"] == pytest.approx(1.1, abs=0.01)
     # a calibration that is known to be off is taken so
-    ratio = found.parameters[0].estimate / exact.parameters[0].estimate
-    assert ratio == pytest.approx(1.0 / 1.1, rel=5e-3)
+    assert after["estimate"] / before["estimate"] == pytest.approx(1.0 / 1.1, rel=5e-3)
 
 
 def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):

@@ -208,11 +208,10 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     every = np.full((len(tests), d, m, m), np.nan)
     for matrices, test, slope, of_test in zip(every, tests, slopes, clocks, strict=True):
         if np.isfinite(slope).all():
-            setting, loss = (
-                replace(Setting.before(test), clocks=tuple(of_test)),
-                problem.settings.loss,
+            setting = replace(Setting.before(test), clocks=tuple(of_test))
+            matrices[:] = information(
+                test, setting, shares, slope, problem.settings.loss, before.scatter
             )
-            matrices[:] = information(test, setting, shares, slope, loss, before.scatter)
     return every
 
 
