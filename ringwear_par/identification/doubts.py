@@ -3,6 +3,7 @@
 A doubt of a kind is one sentence, however many tests or series it is about.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
@@ -129,15 +130,14 @@ def of_tests(problem: Problem, entries: Entries, information: FloatArray) -> lis
         free = parameter.scatter is None and entries[key]["verdict"] == "identified"
         if len(informed) < 2 or not free or not key.startswith(_RATES):
             continue
-        equal = defaultdict(list)
-        for i in informed:
-            equal[tests[i].conditions].append(i)
-        of, more = "equal", ""
-        q, freedom, scatter = heterogeneity(score, a, [*equal.values()])
-        if not freedom or chi2.sf(q, freedom) >= _NO_CHANCE:
-            of, more = "different", ", or another law"
-            q, freedom, scatter = heterogeneity(score, a, [informed])
-        own, p = float(np.median(a[informed] ** -0.5)), float(chi2.sf(q, freedom))
+        conditions = [tests[i].conditions for i in informed]
+        _, equal = np.unique(conditions, return_inverse=True)
+        of, spread = "equal", heterogeneity(score[informed], a[informed], equal)
+        if spread[-1] >= _NO_CHANCE:
+            of, spread = "different", heterogeneity(score[informed], a[informed], 0 * equal)
+        q, freedom, scatter, p = spread
+        more = ", or another law" * (of == "different")
+        own = float(np.median(a[informed] ** -0.5))
         unit = "" if parameter.log else unit_of_key(problem, key)
         sizes = [f"{100 * v:.2g} %" if parameter.log else f"{v:.2g}{unit}" for v in (scatter, own)]
         text = (
@@ -155,17 +155,15 @@ def of_tests(problem: Problem, entries: Entries, information: FloatArray) -> lis
 
 
 def heterogeneity(
-    score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
-) -> tuple[float, int, float]:
-    """Return Q, its freedom and the scatter within groups of tests, by scores (tests,)."""
-    q, freedom, size = 0.0, 0, 0.0
-    for tests in groups:
-        s, a = score[[*tests]], information[[*tests]]
-        q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
-        freedom += len(tests) - 1
-        size += float(a.sum() - (a**2).sum() / a.sum())
-    scatter = np.sqrt(max(q - freedom, 0.0) / size) if size > 0.0 else 0.0
-    return q, freedom, float(scatter)
+    score: FloatArray, information: FloatArray, group: IntArray
+) -> tuple[float, int, float, float]:
+    """Return Q, its freedom, the scatter of tests within groups, all (tests,), and Q's chance."""
+    s, a, squares = (np.bincount(group, v) for v in (score, information, information**2))
+    q, freedom = float((score**2 / information).sum() - (s**2 / a).sum()), len(score) - len(a)
+    if not freedom:
+        return q, 0, 0.0, 1.0
+    scatter = math.sqrt(max(q - freedom, 0.0) / float((a - squares / a).sum()))
+    return q, freedom, scatter, float(chi2.sf(q, freedom))
 
 
 def _together(
