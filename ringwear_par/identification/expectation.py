@@ -14,7 +14,7 @@ from ringwear_par.identification.design.information import information
 from ringwear_par.identification.doubts import assumptions
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
-from ringwear_par.identification.likelihood import Setting
+from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import settings_at
 from ringwear_par.identification.summary import KeyRow
@@ -38,7 +38,7 @@ def _covariance(readings: Readings) -> FloatArray:
     settings = [Setting.before(test, loss, len(processes)) for test in problem.experiments]
     expected = np.array([process.expected_share for process in processes])
     middle = np.tile(start, (len(settings), 1))
-    settings = settings_at(readings, settings, middle, expected, first=True)
+    settings = settings_at(readings, settings, middle, expected)
     _, slopes = readings.with_slopes(start)
     variances = np.array([p.scatter.variance if p.scatter else 0.0 for p in problem.parameters])
     known = np.diag([prior_sd(p) ** -2 for p in problem.parameters])

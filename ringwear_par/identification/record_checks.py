@@ -12,7 +12,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Problem, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.histories import HistoryError, Readings, cases_at
-from ringwear_par.identification.likelihood import Noise, Setting
+from ringwear_par.identification.noise import Noise, Setting
 from ringwear_par.identification.readings import growth
 
 #: number of blocks of a record, and fewest readings, less nuisances, that it needs

@@ -14,7 +14,7 @@ from ringwear_par.arrays import FloatArray
 #: walkers, for each dimension and most: many are in all parts of a density, where they hardly move
 _A_DIMENSION, _WALKERS = 128, 1024
 #: steps between two looks; between two states that are kept; most of all
-_STEPS, _THIN, _MOST_STEPS = 100, 5, 6000
+_STEPS, _THIN, _MOST_STEPS = 50, 5, 6000
 #: steps of a density that only leads to the next one: fewest, for each dimension, and most
 _SHORT, _EACH_SHORT, _MOST_SHORT = 30, 8, 60
 #: share of the draws that must count for a density that is drawn from them
