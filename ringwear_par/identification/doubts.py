@@ -277,9 +277,7 @@ def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
 def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about draws that are not those of the posterior."""
     solution = fit.solution
-    if solution.weighed:
-        yield ValidityWarning("weighed", solution.weighed)
-    elif not np.isfinite(solution.step_error):
+    if not np.isfinite(solution.step_error):
         text = (
             "draws still reach the ends of where emulators are known: intervals may be too narrow; "
             "narrower bounds or priors would help"

@@ -24,7 +24,7 @@ from ringwear_par.files.folders import (
 from ringwear_par.identification.definition.problem import BASE, body_of_wear
 from ringwear_par.identification.draws import write_draws
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
+from ringwear_par.identification.fitted_tests import readings_of_draws
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -55,8 +55,7 @@ def save(fit: FitResult, folder: Path) -> None:
 def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, list[Any]]]:
     """Return what draws.nc holds of readings, and the test, series and place of each.
 
-    Where keys scatter, "log_likelihood_test" (s, tests) is of all readings of a test, its values
-    integrated out.
+    Where keys scatter, "log_likelihood_test" (s, tests) is of all readings of a test.
     """
     random, x = np.random.default_rng(0), fit.draws.tests
     posterior = fit.solution.posterior
@@ -76,21 +75,16 @@ def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, lis
             places["series"] += [series.name] * series.n
             places["at"] += series.x.tolist()
     if posterior.scatterings:
-        readings["log_likelihood_test"] = _log_p_of_tests(fit)
+        bodies = [BODIES.index(body_of_wear(key)) for key in fit.problem.settings.process]
+        shares = np.sqrt(fit.draws.process[:, bodies] / fit.solution.depths)
+        readings["log_likelihood_test"] = np.stack(
+            [
+                f(f.emulator.coordinates(x[:, i]), shares)
+                for i, f in enumerate(posterior.likelihoods)
+            ],
+            axis=1,
+        )
     return readings, places
-
-
-def _log_p_of_tests(fit: FitResult) -> FloatArray:
-    """Return log p (s, tests) of the readings of each test, given the material and its scatter."""
-    draws, problem, depths = fit.draws, fit.problem, fit.solution.depths
-    variances = np.zeros_like(draws.material)
-    for (key, _), sd in draws.scatter.items():
-        variances[:, draws.keys.index(key)] += sd**2
-    bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
-    shares = np.sqrt(draws.process[:, bodies] / depths)
-    return log_p_of_tests(
-        fit.solution.posterior, draws.tests, draws.material, np.sqrt(variances), shares
-    )
 
 
 def _write(file: h5py.File, fit: FitResult) -> None:

@@ -4,20 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import log_ndtr
-from scipy.stats import norm, qmc
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Series, records
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import coloured, log_volumes, sides, whitened
-from ringwear_par.identification.posterior import Posterior
 
 #: step of differences of log p, in the sd of an unknown
 _STEP = 0.02
-#: values of the next specimen over which the likelihood of a test is averaged
-_SPECIMENS = 64
-#: sd of these about the draws, over that of what is left open
-_WIDER = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +87,7 @@ def fitted_test(
 
 def _with_all(
     likelihood: TestLikelihood, readings: FloatArray, random: np.random.Generator | None = None
-) -> tuple[
-    FloatArray, FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]
-]:
+) -> tuple[FloatArray, FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
     """Return readings (P, n) of the model with nuisances and random wear: draws, or the best ones.
 
     Also return what is worn by chance (P, n, bodies) over the largest depth, and nuisances and
@@ -150,39 +142,3 @@ def scores_and_information(
         emulated(coordinates, np.tile(shares, (len(points), 1))), [1, m + 1]
     )
     return np.array([(up - down) / (2.0 * step), (2.0 * middle - up - down) / step**2])
-
-
-def log_p_of_tests(
-    posterior: Posterior, x: FloatArray, material: FloatArray, sd: FloatArray, shares: FloatArray
-) -> FloatArray:
-    """Return log p (s, tests) of the readings of each test, whatever its own values are.
-
-    The likelihood is averaged over values that the next specimen may have, drawn about those of
-    each draw by what the keys that do not scatter leave open.
-
-    Parameters
-    ----------
-    x : (s, tests, m) unknowns of draws; material: (s, m) of the material.
-    sd : (s, m) between specimens; 0 of keys that do not scatter.
-    shares : (s, bodies) of random wear.
-    """
-    keys = [s.key for s in posterior.scatterings]
-    normal = norm.ppf(qmc.Sobol(len(keys), seed=0).random(_SPECIMENS))
-    logs = np.empty((len(x), len(posterior.likelihoods)))
-    for i, emulated in enumerate(posterior.likelihoods):
-        own, others = x[:, i, keys], np.delete(x[:, i], keys, axis=1)
-        others = np.column_stack([np.ones(len(x)), others])
-        centre = others @ np.linalg.lstsq(others, own, rcond=None)[0]
-        root = _WIDER * np.linalg.cholesky(np.atleast_2d(np.cov((own - centre).T)))
-        volume = float(np.log(np.diag(root)).sum())
-        each = []
-        for z in normal:
-            points = x[:, i].copy()
-            points[:, keys] += root @ z
-            off = (points - material)[:, keys] / sd[:, keys]
-            prior = -0.5 * np.square(off).sum(axis=1) - np.log(sd[:, keys]).sum(axis=1)
-            log_p = emulated(emulated.emulator.coordinates(points), shares)
-            log_p = np.where(emulated.emulator.holds(points), log_p, -np.inf)
-            each.append(log_p + prior + 0.5 * float(z @ z) + volume)
-        logs[:, i] = np.logaddexp.reduce(each, axis=0) - np.log(_SPECIMENS)
-    return logs

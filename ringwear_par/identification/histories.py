@@ -11,7 +11,6 @@ import pickle
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np

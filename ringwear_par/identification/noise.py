@@ -151,9 +151,10 @@ class Noise:
         self.columns = np.column_stack(
             [block_diag(*(nuisance_columns(s, test.case) for s in self._series)), *scales]
         )
+        widest = [_WIDE * (np.abs(s.value).max() + s.sd.max()) / s.factor for s in self._series]
         priors = [
-            (nuisance.free, *_prior(nuisance, _WIDE * float(np.abs(s.value).max() + s.sd.max()) / s.factor))
-            for s in self._series for nuisance in s.linear_nuisances
+            (nuisance.free, *_prior(nuisance, wide))
+            for s, wide in zip(self._series, widest, strict=True) for nuisance in s.linear_nuisances
         ] + [(False, 0.0, 1.0)] * len(scales)  # fmt: skip
         free, self._means, sds = np.reshape(priors, (-1, 3)).T.astype(float)
         sds = sds * self.columns.any(axis=0)  # what adds nothing stays where it is
@@ -201,9 +202,7 @@ class Noise:
         """Return data (n,) less what nuisances are expected to add."""
         return data - self.columns @ self._means
 
-    def nuisances(
-        self, rows: FloatArray, random: np.random.Generator | None = None
-    ) -> FloatArray:
+    def nuisances(self, rows: FloatArray, random: np.random.Generator | None = None) -> FloatArray:
         """Return the nuisances (k, P) that suit rows (n, P) of ``data`` less the model best.
 
         Or draws of them, where there is ``random``.
@@ -218,7 +217,7 @@ class Noise:
     ) -> FloatArray:
         """Return what bodies have worn by chance, over their largest depth, (bodies, n, P).
 
-        The mean by rows (n, P) of data less model and nuisances, or draws where there is ``random``.
+        The mean by rows (n, P) of data less model and nuisances, or draws.
         """
         own = [share**2 * np.minimum.outer(depth, depth) for share, _, depth in self.clocks]
         felt = [slope[:, None] * of for (_, slope, _), of in zip(self.clocks, own, strict=True)]
@@ -255,7 +254,9 @@ class Growth:
         for i in self.series:
             series, time = test.series[i], test.series[i].growth_time
             assert time is not None
-            amplitude = next(nuisance for nuisance in series.nuisances if nuisance.kind == "thermal")
+            amplitude = next(
+                nuisance for nuisance in series.nuisances if nuisance.kind == "thermal"
+            )
             # one that is free is not far beyond the readings: it would be an offset else
             widest = _WIDE_GROWTH * float(np.ptp(series.value)) + float(series.sd.max())
             mean, sd = _prior(amplitude, widest / series.factor)
@@ -302,7 +303,7 @@ class Growth:
     def amplitudes(
         self, rows: FloatArray, nodes: IntArray, random: np.random.Generator | None
     ) -> FloatArray:
-        """Return the best amplitudes (g, P) by white rows (n', P) of data at a node each, or draws."""
+        """Return the best amplitudes (g, P), or draws, by white rows (n', P) at a node each."""
         at = np.arange(rows.shape[1])
         along = self.directions(rows, np.ones(len(at)))[nodes, :, at].T
         if random is not None:

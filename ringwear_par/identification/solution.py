@@ -11,13 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
-from ringwear_par.identification.funnel import Funnel
 from ringwear_par.identification.histories import HistoryError, Readings, cases_at
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import Setting
@@ -27,7 +25,7 @@ from ringwear_par.identification.setting import needs_middle, random_wear, setti
 
 #: draws at first; draws that have true histories, a round; points that fill the box of an emulator,
 #: for each key
-_FIRST, _TRIED, _FILLING = 2048, 64, 16
+_FIRST, _TRIED, _FILLING = 2048, 48, 24
 #: margin of a box, as a share of its edges
 _MARGIN = 0.15
 #: factor by which the power may grow in a round, and power that the first round may reach
@@ -39,14 +37,14 @@ _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough; that of steps, which moves no key by
 #: more than 0.2 sd; share of draws at faces of boxes
 _RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
+#: sd of the error of log p above which draws say nothing
+_ASTRAY = 3.0
 #: share of the draws without a history that is small enough; draws of which none may be no case
 _LOST, _CHECKED = 0.03, 4000
 #: effective number of draws while emulators are checked
 _SOME = 1000.0
 #: largest error of log p by the power, in rms; share of the draws that must count for it
 _TRUST, _COUNT = 0.3, 0.125
-#: draws that are weighed by true histories where emulators cannot follow, and how many must count
-_WEIGHED, _LEAST = 1000, 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +73,6 @@ class Solution:
     histories: int
     failed: int
     reason: str
-    #: sentence about draws that were weighed by true histories, as emulators could not follow; ""
-    weighed: str = ""
 
 
 def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution:
@@ -88,7 +84,7 @@ def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution
 
     Raises
     ------
-    ComputationError : no histories, or neither emulators nor draws that can follow them.
+    ComputationError : no histories, or no emulators that can follow them.
     """
     search, whole = _Search(readings, seed), 0
     for number in range(_MOST_ROUNDS):
@@ -100,7 +96,6 @@ def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution
                 break
         search.emulate()
         search.draw(_SOME * (search.power == 1.0))
-    # draws so far tell coordinates and neighbourhoods in which these are easy
     readings.tell("draws of the posterior")
     search.draw(wanted)
     return search.solution()
@@ -128,14 +123,12 @@ class _Search:
         self._known: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._emulators: list[Emulator] = []
         self._error = self._step_error = np.inf
+        #: number of the test whose emulator has the largest error
+        self._worst = 0
 
     def _log_p(self, every: Sequence[FloatArray]) -> FloatArray:
         """Return log p (tests, P) by the readings (P, n) of all, NaN without a history."""
         return np.array([f(y) for f, y in zip(self._likelihoods, every, strict=True)])
-
-    def _emulated(self, x: FloatArray) -> list[FloatArray]:
-        """Return readings (P, n) of all tests at unknowns (P, tests, m), by emulators."""
-        return [emulator(x[:, i]) for i, emulator in enumerate(self._emulators)]
 
     def _read(self, x: FloatArray, *, finer: int = 1) -> list[FloatArray]:
         """Return readings (P, n) of all tests at unknowns (P, tests, m), by histories."""
@@ -182,9 +175,11 @@ class _Search:
     def is_right(self) -> bool:
         """Tell whether log p, by emulators and time steps, is right where the draws are."""
         true = self._log_p(self._true)
-        off = true - self._posterior_log_p(self._tried)
+        pairs = zip(self._posterior.likelihoods, self._emulators, strict=True)
+        off = true - np.array(
+            [f.likelihood(e(self._tried[:, i])) for i, (f, e) in enumerate(pairs)]
+        )
         self._error = float(np.nanstd(off.sum(axis=0)))
-        #: number of the test whose emulator has the largest error
         self._worst = int(np.argmax(np.nanstd(off, axis=1)))
         x = self._layout.of_tests(self._draws)
         at_faces = max(
@@ -204,11 +199,6 @@ class _Search:
             self._known[o] = points, np.concatenate([finer[i] for i in tests])
         self._true = finer
         return False
-
-    def _posterior_log_p(self, x: FloatArray) -> FloatArray:
-        """Return log p (tests, P) at unknowns (P, tests, m), as the draws have it."""
-        pairs = zip(self._posterior.likelihoods, self._emulated(x), strict=True)
-        return np.array([emulated.likelihood(y) for emulated, y in pairs])
 
     def emulate(self) -> None:
         """Make emulators in the boxes, and find the power up to which they hold."""
@@ -237,14 +227,20 @@ class _Search:
 
     def draw(self, want: float) -> None:
         """Draw anew, with the likelihood to the power; ``want`` so many effective draws."""
-        self._draws, self._density, self.effective = _drawn(
+        self._draws, self._density, self.effective = draw(
             self._posterior, self._draws, self._density, self.power, self._random, want
         )
 
     def solution(self) -> Solution:
-        """Return the draws, weighed by true histories where emulators cannot follow these."""
-        weighed = "" if self.power == 1.0 and self._error < _RIGHT else self._weigh()
+        """Return the draws, or ComputationError where emulators cannot follow histories."""
         readings, posterior = self.readings, self._posterior
+        if not self._error < _ASTRAY:
+            problem = readings.problem
+            raise ComputationError(
+                f"{problem.name}: polynomials cannot follow the readings of "
+                f"{problem.experiments[self._worst].name}: narrower bounds of "
+                f"{', '.join(problem.keys)}, or priors, would help"
+            )
         if readings.failed:
             self._keep_cases()
         evidence, evidence_error = log_evidence(posterior, self._draws)
@@ -254,7 +250,7 @@ class _Search:
             readings.problem, posterior, self._draws, self.effective,
             mode(posterior, self._draws, self._density), evidence, evidence_error,
             random_wear(readings, middle)[1], self._error, self._step_error,
-            readings.steps, readings.count, readings.failed, readings.reason, weighed,
+            readings.steps, readings.count, readings.failed, readings.reason,
         )  # fmt: skip
 
     def _keep_cases(self) -> None:
@@ -266,54 +262,6 @@ class _Search:
             found = cases_at(test.case, problem.keys, np.array([*map(problem.values, x[:, i])]))
             good &= [not isinstance(case, HistoryError) for case in found]
         self._draws, self._density = self._draws[rows[good]], self._density[rows[good]]
-
-    def _weigh(self) -> str:
-        """Weigh draws by true histories and say so, or ComputationError where few count."""
-        problem, random = self.readings.problem, self._random
-        rows = random.choice(len(self._draws), _WEIGHED, replace=False)
-        x = self._layout.of_tests(self._draws[rows])
-        true, emulated = self._log_p(self._read(x)), self._posterior_log_p(x)
-        logs = np.nan_to_num((true - self.power * emulated).sum(axis=0), nan=-np.inf)
-        weights = np.exp(logs - logsumexp(logs))
-        self.effective = float(1.0 / (weights @ weights))
-        sentence = (
-            f"polynomials cannot follow the readings of {problem.experiments[self._worst].name}: "
-            f"draws were weighed by {_WEIGHED} histories, and are worth {self.effective:.0f}"
-        )
-        if not self.effective > _LEAST:
-            raise ComputationError(
-                f"{problem.name}: {sentence}; narrower bounds of {', '.join(problem.keys)}, or "
-                "priors, would help"
-            )
-        chosen = rows[random.choice(_WEIGHED, 4 * _WEIGHED, p=weights)]
-        self._draws, self._density = self._draws[chosen], self._density[chosen]
-        return sentence
-
-
-def _drawn(
-    posterior: Posterior,
-    draws: FloatArray,
-    density: FloatArray,
-    power: float,
-    random: np.random.Generator,
-    want: float,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return draws of a posterior, see ``draw``, in coordinates without funnels.
-
-    A few draws first, where many are wanted, tell better coordinates.
-    """
-    if want:
-        draws, density, _ = _drawn(posterior, draws, density, power, random, 0.0)
-    funnel = Funnel(posterior, draws)
-
-    def log_p(flat: FloatArray, power: float) -> FloatArray:
-        theta, volume = funnel.theta(flat)
-        return posterior(theta, power) + volume
-
-    flat = funnel.flat(draws)
-    flat, logs, effective = draw(log_p, flat, density + funnel.theta(flat)[1], power, random, want)
-    theta, volume = funnel.theta(flat)
-    return theta, logs - volume, effective
 
 
 def _trusted(true: FloatArray, off: FloatArray, power: float) -> float:

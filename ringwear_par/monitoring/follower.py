@@ -292,7 +292,9 @@ class Follower:
         if specimen.likelihood is not None:
             old = specimen.likelihood.likelihood
             for s, part in records(old.test.series):
-                known[s.name] = float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
+                known[s.name] = (
+                    float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
+                )
         sd = np.concatenate([known.get(s.name, 1.0) * s.sd for s in test.series])
         likelihood = TestLikelihood(test, replace(setting, sd=sd), specimen.shares)
         if self.problem.settings.loss == "gaussian":
