@@ -92,7 +92,8 @@ def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution
         search.read(adapt=number > 0)
         if search.power == 1.0:
             whole += 1
-            if search.is_right() or whole == _MOST_WHOLE:
+            # the first emulators for it are of wider boxes, at whose faces they err
+            if whole > 1 and (search.is_right() or whole == _MOST_WHOLE):
                 break
         search.emulate()
         search.draw(_SOME * (search.power == 1.0))

@@ -104,7 +104,7 @@ def test_readings_that_polynomials_cannot_follow_are_told_or_refused():
     def jumps(size):
         return lambda x: linear(x) + size * np.sign(np.sin(300.0 * x[:, :1]))
 
-    found = solved(BOTH, jumps(0.015))
+    found = solved(BOTH, jumps(0.004))
     assert 0.1 < found.emulator_error < 3.0
     assert np.abs(found.theta.mean(axis=0) - TRUTH).max() < 0.15
     with pytest.raises(
