@@ -61,9 +61,7 @@ def of_computation(solution: Solution) -> list[Check]:
         )
         doubt = ValidityWarning("histories-failed", text)
     off = None
-    if solution.weighed:
-        off = ValidityWarning("weighed", solution.weighed)
-    elif not np.isfinite(stepped):
+    if not np.isfinite(stepped):
         text = (
             "draws still reach the ends of where emulators are known: intervals may be too narrow; "
             "narrower bounds or priors would help"

@@ -11,7 +11,8 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.histories import HistoryError, Readings, cases_at
-from ringwear_par.identification.likelihood import Setting, TestLikelihood
+from ringwear_par.identification.likelihood import TestLikelihood
+from ringwear_par.identification.noise import Setting
 
 #: number of blocks of a record, and fewest readings, less nuisances, that it needs
 _BLOCKS, _ENOUGH = 10, 30

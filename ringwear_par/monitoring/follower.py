@@ -33,9 +33,9 @@ from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import (
     LOG_SHARES,
     EmulatedLikelihood,
-    Setting,
     TestLikelihood,
 )
+from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.readings import TimeInterpolation
 from ringwear_par.identification.setting import needs_middle, settings_at
 
@@ -49,8 +49,8 @@ _SCALE, _CLOSE = 1e-3, 0.03
 _TYPICAL_SHARE = 0.05
 #: effective number of draws that is enough, and share of them; factor between powers that are tried
 _ENOUGH, _ENOUGH_SHARE, _LESS = 2000.0, 0.2, 0.8
-#: draws in one go, and draws that growth times are judged by
-_LOT, _JUDGED = 10_000, 64
+#: draws in one go
+_LOT = 2000
 #: number of new draws; width of their kernels over the best one of a normal density; variance that
 #: they have along what is known exactly
 _ANEW, _WIDTH = 20_000, 0.5
@@ -101,7 +101,7 @@ class Histories:
         settings = [Setting.before(plan, bodies=bodies)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _TYPICAL_SHARE)
-            settings = settings_at(readings, settings, middle[None], shares, first=True)
+            settings = settings_at(readings, settings, middle[None], shares)
         box = Box.about(x[:_BOXED], *problem.unknown_bounds, _MARGIN)
         count = _HISTORIES.get(x.shape[1], _MOST_HISTORIES)
         points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
@@ -272,14 +272,12 @@ class Follower:
         specimen, loss = self.before, self.problem.settings.loss
         if not test.series:
             return specimen
-        emulator, setting = self.histories.emulator_of(test), self.histories.setting_of(test, loss)
+        setting = self.histories.setting_of(test, loss)
         specimen = self._weighed(test, setting, specimen)
         if needs_middle(self.problem):  # which these draws tell
             assert specimen.likelihood is not None
-            some = specimen.chosen(_JUDGED) @ np.vstack([emulator.mean, emulator.modes])
             likelihood, middle = specimen.likelihood.likelihood, self.middle(specimen, test)
-            times = likelihood.with_times_that_count(some).times
-            setting = replace(likelihood.adapted(middle, loss), times=times)
+            setting = likelihood.adapted(middle, loss)
             specimen = self._weighed(test, setting, specimen)
         return specimen
 
@@ -289,19 +287,16 @@ class Follower:
         return emulator.mean + specimen.weights @ specimen.coordinates @ emulator.modes
 
     def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
-        """Return the likelihood of other readings: noise and growth times as of the specimen's."""
+        """Return the likelihood of other readings: noise as of the specimen's."""
         setting, known = self.histories.setting_of(test, "gaussian"), {}
         if specimen.likelihood is not None:
             old = specimen.likelihood.likelihood
-            for i, (s, part) in enumerate(records(old.test.series)):
-                scale = float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
-                known[s.name] = scale, old.setting.times.get(i)
-        sd = np.concatenate([known.get(s.name, (1.0,))[0] * s.sd for s in test.series])
-        times = {
-            i: known.get(test.series[i].name, (1.0, None))[1] or ends
-            for i, ends in setting.times.items()
-        }
-        likelihood = TestLikelihood(test, replace(setting, sd=sd, times=times), specimen.shares)
+            for s, part in records(old.test.series):
+                known[s.name] = (
+                    float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
+                )
+        sd = np.concatenate([known.get(s.name, 1.0) * s.sd for s in test.series])
+        likelihood = TestLikelihood(test, replace(setting, sd=sd), specimen.shares)
         if self.problem.settings.loss == "gaussian":
             return likelihood
         adapted = likelihood.adapted(self.middle(specimen, test), self.problem.settings.loss)

@@ -22,7 +22,7 @@ from ringwear_par.identification.definition.problem import (
     records,
 )
 from ringwear_par.identification.draws import NEXT
-from ringwear_par.identification.likelihood import drawn_nodes
+from ringwear_par.identification.noise import drawn_nodes
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen, part_of
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points

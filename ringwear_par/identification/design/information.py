@@ -29,8 +29,7 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, prior_sd
-from ringwear_par.identification.likelihood import Growth, Noise, Setting
-from ringwear_par.identification.noise import STUDENT
+from ringwear_par.identification.noise import STUDENT, Growth, Noise, Setting
 from ringwear_par.identification.sampling import standardised
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.results.key_numbers import time_words
@@ -237,7 +236,7 @@ def information(
     setting = replace(setting, sd=sd / np.sqrt(STUDENT if loss == "student" else 1.0))
     noise = Noise(test, every, setting, shares)
     rows = noise(slopes[noise.rows].reshape(len(noise.rows), -1))
-    grown = Growth(test, every, setting, noise)
+    grown = Growth(test, every, noise)
     times = [time.expected for i in grown.series if (time := test.series[i].growth_time)]
     node = int(np.abs(np.log(grown.times / times)).sum(axis=1).argmin())
     taken = grown.directions(rows, np.zeros(rows.shape[1]))[node]
