@@ -31,6 +31,8 @@ from ringwear_par.prediction.prediction import TimeTo, times_at
 from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.variables import DISPLAY_UNITS
 
+#: precision, over the largest, of what nuisances without a prior leave open
+_UNKNOWN = 1e-9
 #: windows of a test in which readings are compared with what is expected of them, and the
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
@@ -245,7 +247,7 @@ def surprise(follower: Follower, specimen: Specimen, test: Experiment, new: Bool
         by_units = growth.directions(units, np.zeros(units.shape[1]))
         precision = units.T @ units - np.einsum("kgi,kgj->kij", by_units, by_units)
         pull = units.T @ rows - np.einsum("kgi,kgj->kij", by_units, taken)
-        covariance = np.linalg.pinv(precision, hermitian=True)
+        covariance = np.linalg.pinv(precision, rcond=_UNKNOWN, hermitian=True)
         names = [test.series[i].name for i in growth.series]
         logs = growing.get(names[0] if names else "", growth.log_constants[:, None])
         nodes = drawn_nodes(logs, len(v), random)
