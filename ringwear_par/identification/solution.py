@@ -44,7 +44,7 @@ _LOST, _CHECKED = 0.03, 4000
 #: effective number of draws while emulators are checked
 _SOME = 1000.0
 #: largest error of log p by the power, in rms; share of the draws that must count for it
-_TRUST, _COUNT = 0.3, 0.125
+_TRUST, _COUNT = 0.3, 0.0625
 
 
 @dataclass(frozen=True, eq=False)
