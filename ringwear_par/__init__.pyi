@@ -23,7 +23,7 @@ from ringwear_par.results.result import Result as Result
 from ringwear_par.results.simulate import simulate as simulate
 from ringwear_par.studies.ensemble import open_ensemble as open_ensemble
 from ringwear_par.studies.many import simulate_all as simulate_all
-from ringwear_par.studies.pictures.plot import plot as plot
+from ringwear_par.studies.plot import plot as plot
 from ringwear_par.studies.study import Study as Study
 from ringwear_par.studies.study import read_study as read_study
 from ringwear_par.studies.surrogate import surrogate as surrogate

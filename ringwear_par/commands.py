@@ -138,7 +138,7 @@ def parser() -> argparse.ArgumentParser:
     a.flag("--dry-run", "count cases, compute one block, which stays, and estimate time by it")
     a = command(
         "plot", "draw figures of runs, of a sweep, or of the rig of a case file",
-        "studies.pictures.plot:plot_stored",
+        "studies.plot:plot_stored",
         "ringwear plot run.h5 soft.h5 -o runs.png --panels wear,penetration,pressure\n  "
         "ringwear plot out/study -o study.png",
         "serial")
@@ -225,7 +225,7 @@ def parser() -> argparse.ArgumentParser:
     a.add_argument("--test", metavar="NAME", help="experiment that runs (default: the last one)")
     a.add_argument("--to", default="10%", metavar="PERCENT",
                    help="half width of the interval of k that is asked for (default: 10%%)")
-    a.draws(100_000)
+    a.draws(20_000)
     a.flag("--once", "answer once, by the readings that are there, and end")
 
     lines.append("\nother:")

@@ -57,7 +57,7 @@ def _print_keys(words: Sequence[str]) -> None:
     from ringwear_par.cases.tables import key_table
     from ringwear_par.identification.definition import schema as fits
     from ringwear_par.measuring.definition import schema as measures
-    from ringwear_par.studies import designs as studies
+    from ringwear_par.studies import variations as studies
 
     schemas = {
         "case": cases.KEYS, "study": studies.KEYS, "measure": measures.KEYS, "fit": fits.KEYS,

@@ -15,11 +15,11 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, RingLayer, Stepping
-from ringwear_par.elasticity.bem.body import compliance, solve_body
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
-from ringwear_par.elasticity.bem.systems import BoundaryConditions
+from ringwear_par.elasticity.bem.body import compliance, solve_zones
+from ringwear_par.elasticity.bem.boundary import zone_meshes
+from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic import assemble
 from ringwear_par.history.loop import first_contact
@@ -80,7 +80,7 @@ def _pressed_sides(
     section: Section, pressures: tuple[float, float], mesh: Mesh, comm: MPI.Comm
 ) -> FloatArray:
     """Return u_r of the bore between two smooth planes, under pressures inside and outside."""
-    boundary = boundary_mesh(section, contact_line(section.r, mesh), mesh)
+    boundary = zone_meshes(section, contact_line(section.r, mesh), mesh)[0]
     k = len(boundary.elements)
     fixed, load, traction = np.zeros((k, 3), dtype=bool), np.full((k, 3), -1), np.zeros((k, 3))
     fixed[np.concatenate([boundary.fixed, boundary.contact]), 1] = True
@@ -88,9 +88,8 @@ def _pressed_sides(
     for side, value in ((boundary.inner_side, pressures[0]), (boundary.outer_side, -pressures[1])):
         load[side, 0], traction[side, 0] = 0, value
     conditions = BoundaryConditions(fixed, load, traction, 1)
-    middle = boundary.elements[boundary.inner_side, 1]
-    response = solve_body(boundary, conditions, NU, 1e-8, middle, boundary.inner_side, comm)
-    bore: FloatArray = response.displacement[:, 0, 0]
+    (response,), _ = solve_zones([Zone(boundary, conditions, Material(1.0, NU))], 1e-8, comm)
+    bore: FloatArray = response.displacement[boundary.elements[boundary.inner_side, 1], 0, 0]
     return bore
 
 

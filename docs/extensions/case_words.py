@@ -25,7 +25,7 @@ from ringwear_par.identification.definition.schema import KEYS as FIT_KEYS
 from ringwear_par.measuring.definition.schema import KEYS as MEASURE_KEYS
 from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
-from ringwear_par.studies.designs import KEYS as STUDY_KEYS
+from ringwear_par.studies.variations import KEYS as STUDY_KEYS
 from ringwear_par.wear.at import LocalState
 from ringwear_par.wear.laws import LAWS, Kind, Law
 

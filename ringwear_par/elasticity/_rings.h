@@ -44,43 +44,41 @@ enum {
 
 typedef double Vector __attribute__((vector_size(8 * VECTOR), aligned(8), may_alias));
 
-/* U and T: the force at the source along the first letter, the component at the field point the
-   second; t stands for theta, which uncouples */
-enum { U_RR, U_RZ, U_ZR, U_ZZ, U_TT, T_RR, T_RZ, T_ZR, T_ZZ, T_TT, RING_KERNELS };
-/* D and S: the stress at the source, then the direction of the traction or displacement */
-enum {
-    D_RR_R, D_TT_R, D_ZZ_R, D_RZ_R, D_RR_Z, D_TT_Z, D_ZZ_Z, D_RZ_Z, D_RT_T, D_TZ_T,
-    S_RR_R, S_TT_R, S_ZZ_R, S_RZ_R, S_RR_Z, S_TT_Z, S_ZZ_Z, S_RZ_Z, S_RT_T, S_TZ_T,
-    STRESS_KERNELS
-};
-
-/* Own columns, of the fields that are subtracted: along r and z of forces along r, then along z,
-   and theta */
-enum { OWN = 5 };
+/* Kernels come in pairs of a component at the source and a direction on the element: forces and
+   displacements of the boundary equation, or stresses. The first PAIRS multiply tractions (U, D),
+   the others displacements (T, S). Directions r, z and then theta, which uncouples. */
+enum { RR, ZR, RZ, ZZ, TT, PAIRS };
+enum { RR_R, TT_R, ZZ_R, RZ_R, RR_Z, TT_Z, ZZ_Z, RZ_Z, RT_T, TZ_T, STRESS_PAIRS };
 
 /* Field points with the radii of their sources, and kernels there */
 typedef struct {
     double r[ROW], a[ROW], b[ROW], nr[ROW], nz[ROW];
-    double value[STRESS_KERNELS][ROW];
+    double value[2 * STRESS_PAIRS][ROW];
 } Tile;
-
-/* Integrals over an element for sources one after another: of U, of T times each shape function, in
-   the order rr, rz, zr, zz, tt; and what they add to the sources' own columns */
-typedef struct {
-    double u[5][ROW], t[5][3][ROW], own[OWN][ROW];
-} Integrals;
 
 /* A straight element: its first node, the vector to the last, length and outward normal */
 typedef struct {
     double r, z, dr, dz, length, nr, nz;
 } Element;
 
+/* Sources one after another: radius, offset of the element's start (or of the source itself, where
+   the element holds it), and height z0 of the fields that are subtracted */
+typedef struct {
+    double r[ROW], a[ROW], b[ROW], z0[ROW];
+} Sources;
+
+/* Integrals over an element for each source: of each pair's second kernel times the three shape
+   functions and of its first kernel, and what they add to the sources' own columns */
+typedef struct {
+    double of[STRESS_PAIRS][4][ROW], own[STRESS_PAIRS][ROW];
+} Integrals;
+
 /* See quadrature.py: n points serve where distances of the ends over the length are reach[n] */
 typedef struct {
     const double *reach, *points, *weights, *singular_points, *singular_weights;
 } Rules;
 
-/* Places on an element, from where its source is, or its start; and weights times lengths */
+/* Points on an element: how far along it from where the offsets are, and weights over its length */
 typedef struct {
     int count;
     double place[MOST_POINTS], weight[MOST_POINTS];
@@ -186,26 +184,18 @@ static const double SIN2[THETA] = {
 /* Near the axis or far from the source the moments hardly vary over the circle. */
 static Moments moments_by_quadrature(double r, double a, double b)
 {
-    const double near2 = a * a + b * b, span2 = 4.0 * r * (r + a), c = 2.0 * PI / THETA;
-    Moments i = {0.0};
+    const double near2 = a * a + b * b, span2 = 4.0 * r * (r + a);
+    double sums[14] = {0.0};
     for (int k = 0; k < THETA; k++) {
-        const double s2 = SIN2[k], inv2 = 1.0 / (near2 + span2 * s2);
-        const double w1 = c * sqrt(inv2), w3 = w1 * inv2, w5 = w3 * inv2, w7 = w5 * inv2;
-        i.i10 += w1;
-        i.i11 += w1 * s2;
-        i.i30 += w3;
-        i.i31 += w3 * s2;
-        i.i32 += w3 * s2 * s2;
-        i.i50 += w5;
-        i.i51 += w5 * s2;
-        i.i52 += w5 * s2 * s2;
-        i.i53 += w5 * s2 * s2 * s2;
-        i.i70 += w7;
-        i.i71 += w7 * s2;
-        i.i72 += w7 * s2 * s2;
-        i.i73 += w7 * s2 * s2 * s2;
-        i.i74 += w7 * s2 * s2 * s2 * s2;
+        const double inv2 = 1.0 / (near2 + span2 * SIN2[k]);
+        double power = 2.0 * PI / THETA * sqrt(inv2), *sum = sums;
+        for (int p = 1; p <= 7; p += 2, power *= inv2) {
+            double term = power;
+            for (int q = 0; q <= (p + 1) / 2; q++, term *= SIN2[k]) *sum++ += term;
+        }
     }
+    Moments i;
+    memcpy(&i, sums, sizeof i);
     return i;
 }
 
@@ -214,6 +204,11 @@ INLINE int is_small(double r, double a, double b)
 {
     const double span2 = 4.0 * r * (r + a);
     return span2 < 0.3 * (a * a + b * b + span2);
+}
+
+INLINE Moments moments_of(double r, double a, double b)
+{
+    return is_small(r, a, b) ? moments_by_quadrature(r, a, b) : moments_by_recursion(r, a, b);
 }
 
 /* ---- kernels ---- */
@@ -230,11 +225,11 @@ INLINE void ring_kernels_of(Moments i, double r, double a, double b, double nr, 
     const double shear = 0.5 / (1.0 + nu), cu = r1 / (16.0 * PI * shear * (1.0 - nu));
     const double k1 = 3.0 - 4.0 * nu, cosine = i.i10 - 2.0 * i.i11;
     const double at_x = a * i.i30 - x1 * i.i31, at_y = a * i.i30 + y1 * i.i31;
-    out[U_RR * ROW] = cu * (k1 * cosine + a * a * i.i30 + q1 * i.i31 + q2 * i.i32);
-    out[U_RZ * ROW] = cu * b * at_x;
-    out[U_ZR * ROW] = cu * b * at_y;
-    out[U_ZZ * ROW] = cu * (k1 * i.i10 + b * b * i.i30);
-    out[U_TT * ROW] = r1 / (4.0 * PI * shear) * cosine;
+    out[RR * ROW] = cu * (k1 * cosine + a * a * i.i30 + q1 * i.i31 + q2 * i.i32);
+    out[RZ * ROW] = cu * b * at_x;
+    out[ZR * ROW] = cu * b * at_y;
+    out[ZZ * ROW] = cu * (k1 * i.i10 + b * b * i.i30);
+    out[TT * ROW] = r1 / (4.0 * PI * shear) * cosine;
 
     const double ct = -r1 / (8.0 * PI * (1.0 - nu)), k2 = 1.0 - 2.0 * nu, b3 = 3.0 * b;
     /* Int R.n s2^q / R^3 and / R^5 */
@@ -242,13 +237,13 @@ INLINE void ring_kernels_of(Moments i, double r, double a, double b, double nr, 
     const double g0 = n0 * i.i50 + n1 * i.i51, g1 = n0 * i.i51 + n1 * i.i52;
     const double g2 = n0 * i.i52 + n1 * i.i53;
     /* antisymmetric for rr: R.e_r(y) n.e_r(x) - R.e_r(x) n.e_r(y) = 2 y1 nr (s2 - s2^2) */
-    out[T_RR * ROW] = ct * (k2 * (along + 2.0 * y1 * nr * (i.i31 - i.i32))
+    out[(PAIRS + RR) * ROW] = ct * (k2 * (along + 2.0 * y1 * nr * (i.i31 - i.i32))
                             + 3.0 * (a * a * g0 + q1 * g1 + q2 * g2));
-    out[T_RZ * ROW] = ct * (b3 * (a * g0 - x1 * g1)
+    out[(PAIRS + RZ) * ROW] = ct * (b3 * (a * g0 - x1 * g1)
                             + k2 * (b * nr * (i.i30 - 2.0 * i.i31) - nz * at_x));
-    out[T_ZR * ROW] = ct * (b3 * (a * g0 + y1 * g1) + k2 * (nz * at_y - b * nr * i.i30));
-    out[T_ZZ * ROW] = ct * (k2 * m0 + b3 * b * g0);
-    out[T_TT * ROW] = (r1 * along + nr * cosine) * (-0.25 / PI);
+    out[(PAIRS + ZR) * ROW] = ct * (b3 * (a * g0 + y1 * g1) + k2 * (nz * at_y - b * nr * i.i30));
+    out[(PAIRS + ZZ) * ROW] = ct * (k2 * m0 + b3 * b * g0);
+    out[(PAIRS + TT) * ROW] = (r1 * along + nr * cosine) * (-0.25 / PI);
 }
 
 /* sigma(x) = Int D t - S u dS; in the frame of x the components of R are X = a - 2 r1 s2,
@@ -291,46 +286,46 @@ INLINE void stress_kernels_of(Moments i, double r, double a, double b, double nr
     const double nsl0 = 4.0 * (nl1 - nl2), nsl1 = 4.0 * (nl2 - nl3);
 
     const double cd = r1 / (8.0 * PI * (1.0 - nu));
-    out[D_RR_R * ROW] = cd * (w1 * (2.0 * cosx3 - p3)
+    out[RR_R * ROW] = cd * (w1 * (2.0 * cosx3 - p3)
                               + 3.0 * (e0 * i.i50 + e1 * i.i51 + e2 * i.i52 + e3 * i.i53));
-    out[D_TT_R * ROW] = cd * (w1 * (2.0 * r1 * sj - p3) + 3.0 * r1 * r1 * sinp5);
-    out[D_ZZ_R * ROW] = cd * (3.0 * b2 * p5 - w1 * p3);
-    out[D_RZ_R * ROW] = cd * b * (w1 * cos3 + 3.0 * xp5);
-    out[D_RR_Z * ROW] = cd * b * (3.0 * xx5 - w1 * i.i30);
-    out[D_TT_Z * ROW] = cd * b * (3.0 * r1 * r1 * sk0 - w1 * i.i30);
-    out[D_ZZ_Z * ROW] = cd * b * (3.0 * b2 * i.i50 + w1 * i.i30);
-    out[D_RZ_Z * ROW] = cd * (w1 * x3 + 3.0 * b2 * x5);
-    out[D_RT_T * ROW] = cd * (w1 * (cosx3 - r1 * sj) + 3.0 * r * r1 * sinx5);
-    out[D_TZ_T * ROW] = cd * b * (w1 * cos3 + 3.0 * r * r1 * sk0);
+    out[TT_R * ROW] = cd * (w1 * (2.0 * r1 * sj - p3) + 3.0 * r1 * r1 * sinp5);
+    out[ZZ_R * ROW] = cd * (3.0 * b2 * p5 - w1 * p3);
+    out[RZ_R * ROW] = cd * b * (w1 * cos3 + 3.0 * xp5);
+    out[RR_Z * ROW] = cd * b * (3.0 * xx5 - w1 * i.i30);
+    out[TT_Z * ROW] = cd * b * (3.0 * r1 * r1 * sk0 - w1 * i.i30);
+    out[ZZ_Z * ROW] = cd * b * (3.0 * b2 * i.i50 + w1 * i.i30);
+    out[RZ_Z * ROW] = cd * (w1 * x3 + 3.0 * b2 * x5);
+    out[RT_T * ROW] = cd * (w1 * (cosx3 - r1 * sj) + 3.0 * r * r1 * sinx5);
+    out[TZ_T * ROW] = cd * b * (w1 * cos3 + 3.0 * r * r1 * sk0);
 
     const double cs = r1 / (8.0 * PI * (1.0 - nu * nu));
     const double common_r = 3.0 * w1 * np5 - w4 * nr * i.i30;
-    out[S_RR_R * ROW] = cs * (common_r + 6.0 * nu * (ncosx5 + nr * cosxp5)
+    out[(STRESS_PAIRS + RR_R) * ROW] = cs * (common_r + 6.0 * nu * (ncosx5 + nr * cosxp5)
                               - 15.0 * (e0 * nl0 + e1 * nl1 + e2 * nl2 + e3 * nl3)
                               + w1 * nr * (3.0 * xx5 + 2.0 * coscos3));
-    out[S_TT_R * ROW] = cs * (common_r + 6.0 * nu * r1 * (nsin5 + nr * sinp5)
+    out[(STRESS_PAIRS + TT_R) * ROW] = cs * (common_r + 6.0 * nu * r1 * (nsin5 + nr * sinp5)
                               - 15.0 * r1 * r1 * (a * nsl0 + y1 * nsl1)
                               + w1 * nr * (3.0 * r1 * r1 * sk0 + 2.0 * sj));
-    out[S_ZZ_R * ROW] = cs * (common_r - 15.0 * b2 * (a * nl0 + y1 * nl1)
+    out[(STRESS_PAIRS + ZZ_R) * ROW] = cs * (common_r - 15.0 * b2 * (a * nl0 + y1 * nl1)
                               + 6.0 * nu * nz * b * p5 + 3.0 * w1 * nr * b2 * i.i50);
-    out[S_RZ_R * ROW] = cs * (3.0 * nu * (b * (ncos5 + nr * cosp5) + nz * xp5)
+    out[(STRESS_PAIRS + RZ_R) * ROW] = cs * (3.0 * nu * (b * (ncos5 + nr * cosp5) + nz * xp5)
                               - 15.0 * b * (a2 * nl0 + q1 * nl1 + q2 * nl2)
                               + w1 * (3.0 * nr * b * x5 + nz * cos3));
     const double common_z = 3.0 * w1 * b * nk0 - w4 * nz * i.i30;
-    out[S_RR_Z * ROW] = cs * (common_z - 15.0 * b * (a2 * nl0 + h1 * nl1 + h2 * nl2)
+    out[(STRESS_PAIRS + RR_Z) * ROW] = cs * (common_z - 15.0 * b * (a2 * nl0 + h1 * nl1 + h2 * nl2)
                               + 6.0 * nu * nr * b * cosx5 + 3.0 * w1 * nz * xx5);
-    out[S_TT_Z * ROW] = cs * (common_z - 15.0 * b * r1 * r1 * nsl0
+    out[(STRESS_PAIRS + TT_Z) * ROW] = cs * (common_z - 15.0 * b * r1 * r1 * nsl0
                               + 6.0 * nu * nr * b * r1 * sk0 + 3.0 * w1 * nz * r1 * r1 * sk0);
-    out[S_ZZ_Z * ROW] = cs * (common_z + 6.0 * nu * b * (nk0 + nz * b * i.i50)
+    out[(STRESS_PAIRS + ZZ_Z) * ROW] = cs * (common_z + 6.0 * nu * b * (nk0 + nz * b * i.i50)
                               - 15.0 * b2 * b * nl0 + w1 * nz * (3.0 * b2 * i.i50 + 2.0 * i.i30));
-    out[S_RZ_Z * ROW] = cs * (3.0 * nu * (nx5 + b * (nr * b * cos5 + nz * x5))
+    out[(STRESS_PAIRS + RZ_Z) * ROW] = cs * (3.0 * nu * (nx5 + b * (nr * b * cos5 + nz * x5))
                               - 15.0 * b2 * (a * nl0 - x1 * nl1)
                               + w1 * (3.0 * nz * b * x5 + nr * cos3));
-    out[S_RT_T * ROW] = cs * (3.0 * nu * (ncosx5 - r1 * nsin5
+    out[(STRESS_PAIRS + RT_T) * ROW] = cs * (3.0 * nu * (ncosx5 - r1 * nsin5
                                           + nr * r * (r1 * (sk0 - 2.0 * sk1) + sinx5))
                               - 15.0 * r * r1 * (a * nsl0 - x1 * nsl1)
                               + w1 * nr * (coscos3 - sj));
-    out[S_TZ_T * ROW] = cs * (3.0 * nu * (b * ncos5 + r * (nr * b + nz * r1) * sk0)
+    out[(STRESS_PAIRS + TZ_T) * ROW] = cs * (3.0 * nu * (b * ncos5 + r * (nr * b + nz * r1) * sk0)
                               - 15.0 * b * r * r1 * nsl0 + w1 * nz * cos3);
 }
 
@@ -355,104 +350,97 @@ INLINE void fill(Tile *tile, int count, double nu, Kernels kernels)
     }
 }
 
-/* Set U and T, or D and S, at the first points of a tile. */
-VERSIONS static void fill_ring_kernels(Tile *tile, int count, double nu)
+/* Set the kernels of PAIRS, or STRESS_PAIRS, at the first points of a tile. */
+VERSIONS static void fill_kernels(Tile *tile, int pairs, int count, double nu)
 {
-    fill(tile, count, nu, ring_kernels_of);
-}
-VERSIONS static void fill_stress_kernels(Tile *tile, int count, double nu)
-{
-    fill(tile, count, nu, stress_kernels_of);
+    if (pairs == PAIRS)
+        fill(tile, count, nu, ring_kernels_of);
+    else
+        fill(tile, count, nu, stress_kernels_of);
 }
 
 /* ---- integrals over an element ---- */
 
-INLINE void weighted_shapes(double t, double weight, double *s)
-{
-    s[0] = weight * (1.0 - t) * (1.0 - 2.0 * t);
-    s[1] = weight * 4.0 * t * (1.0 - t);
-    s[2] = weight * t * (2.0 * t - 1.0);
-}
-
-/* Set what integrals add to the sources' own columns. The field that is subtracted is uniform along
-   z; turns; or is u* = (r1 e_r - lateral (z1 - z) e_z) / r, which has no axial stress, and stresses
-   that stay finite as Poisson's ratio goes to 1/2; its traction, along r, is star over r. */
-INLINE void set_own(Integrals *sums, const Element *e, int count, const double *z, double nu)
+/* Set what integrals add to the sources' own columns: shape functions sum to one, and to radius or
+   height when weighted with that of their nodes, so that the integral over a field u*, t* needs no
+   kernels of its own. The fields are uniform along z; turn; or are u* = (r1 e_r - lateral
+   (z1 - z0) e_z) / r, which has no axial stress, and stresses that stay finite as Poisson's ratio
+   goes to 1/2; its traction, along r, is star over r. */
+INLINE void set_own(Integrals *sums, const Element *e, int pairs, int count, const double *z0,
+                    double nu)
 {
     const double lateral = 2.0 * nu / (1.0 - nu), star = e->nr / (1.0 - nu);
-    const double r0 = e->r, r1 = e->r + 0.5 * e->dr, r2 = e->r + e->dr;
-    const double z0 = e->z, z1 = e->z + 0.5 * e->dz, z2 = e->z + e->dz;
-    for (int force = 0; force < 2; force++) {
-        double(*radial)[ROW] = sums->t[2 * force], (*axial)[ROW] = sums->t[2 * force + 1];
+    const double r[3] = {e->r, e->r + 0.5 * e->dr, e->r + e->dr};
+    const double z[3] = {e->z, e->z + 0.5 * e->dz, e->z + e->dz};
+    const int components = 2 * pairs / PAIRS; /* at the source, of directions r and z */
+    for (int k = 0; k < components; k++) {
+        double(*radial)[ROW] = sums->of[k], (*axial)[ROW] = sums->of[components + k];
 #pragma GCC ivdep
         for (int i = 0; i < count; i++) {
             const double a0 = axial[0][i], a1 = axial[1][i], a2 = axial[2][i];
-            sums->own[2 * force][i] =
-                star * sums->u[2 * force][i]
-                - (r0 * radial[0][i] + r1 * radial[1][i] + r2 * radial[2][i])
-                + lateral * ((z0 - z[i]) * a0 + (z1 - z[i]) * a1 + (z2 - z[i]) * a2);
-            sums->own[2 * force + 1][i] = -(a0 + a1 + a2);
+            sums->own[k][i] =
+                star * radial[3][i]
+                - (r[0] * radial[0][i] + r[1] * radial[1][i] + r[2] * radial[2][i])
+                + lateral * ((z[0] - z0[i]) * a0 + (z[1] - z0[i]) * a1 + (z[2] - z0[i]) * a2);
+            sums->own[components + k][i] = -(a0 + a1 + a2);
         }
     }
-    double(*turning)[ROW] = sums->t[4];
+    for (int k = 2 * components; k < pairs; k++) {
+        double(*turning)[ROW] = sums->of[k];
 #pragma GCC ivdep
-    for (int i = 0; i < count; i++)
-        sums->own[4][i] = -(r0 * turning[0][i] + r1 * turning[1][i] + r2 * turning[2][i]);
+        for (int i = 0; i < count; i++)
+            sums->own[k][i] = -(r[0] * turning[0][i] + r[1] * turning[1][i] + r[2] * turning[2][i]);
+    }
 }
 
-/* Add integrals for sources to a column, at their rows, of which -1 is none. */
-static inline void add_to_column(double *restrict column, const int64_t *restrict rows, int count,
-                                 double factor, const double *restrict integrals)
+/* Set, or add to, the integrals over an element for sources, by n points with places and weights.
+   Where a source is its node `at`, elsewhere -1, places are from there, and that node's shape
+   function is left out. */
+VERSIONS static void integrate(Tile *tile, Integrals *sums, const Element *e, int pairs,
+                               const Sources *sources, int count, int at, int n,
+                               const double *place, const double *weight, int add, double nu)
 {
-    for (int i = 0; i < count; i++)
-        if (rows[i] >= 0) column[rows[i]] += factor * integrals[i];
-}
-
-/* Set the integrals over an element for sources that it is far from, by a rule of n points. */
-VERSIONS static void integrate(Tile *tile, Integrals *sums, const Element *e, int count,
-                               const double *r, const double *z, int n, const Rules *rules,
-                               double nu)
-{
-    const double *t = rules->points + n * MAX_POINTS, *weights = rules->weights + n * MAX_POINTS;
-    const int whole = count + (-count & (VECTOR - 1));
+    const double origin = at < 0 ? 0.0 : 0.5 * at;
+    double w[TILE], s[TILE][3];
     for (int q = 0; q < n; q++) {
         double *tr = tile->r + q * count, *ta = tile->a + q * count, *tb = tile->b + q * count;
-#pragma GCC ivdep
-        for (int i = 0; i < whole; i++) {
-            tr[i] = r[i];
-            ta[i] = e->r - r[i] + t[q] * e->dr;
-            tb[i] = e->z - z[i] + t[q] * e->dz;
-        }
-    }
-    fill_ring_kernels(tile, n * count, nu);
-    double w[MAX_POINTS], s[MAX_POINTS][3];
-    for (int q = 0; q < n; q++) {
-        w[q] = e->length * weights[q];
-        weighted_shapes(t[q], w[q], s[q]);
-    }
-    for (int pair = 0; pair < 5; pair++)
         for (int i = 0; i < count; i += VECTOR) {
-            Vector g = {0.0}, h0 = g, h1 = g, h2 = g;
-            for (int q = 0; q < n; q++) {
-                const Vector u = *(const Vector *)(tile->value[U_RR + pair] + q * count + i);
-                const Vector k = *(const Vector *)(tile->value[T_RR + pair] + q * count + i);
-                g += w[q] * u;
-                h0 += s[q][0] * k;
-                h1 += s[q][1] * k;
-                h2 += s[q][2] * k;
-            }
-            *(Vector *)(sums->u[pair] + i) = g;
-            *(Vector *)(sums->t[pair][0] + i) = h0;
-            *(Vector *)(sums->t[pair][1] + i) = h1;
-            *(Vector *)(sums->t[pair][2] + i) = h2;
+            *(Vector *)(tr + i) = *(const Vector *)(sources->r + i);
+            *(Vector *)(ta + i) = *(const Vector *)(sources->a + i) + place[q] * e->dr;
+            *(Vector *)(tb + i) = *(const Vector *)(sources->b + i) + place[q] * e->dz;
         }
-    set_own(sums, e, whole, z, nu);
+        const double t = origin + place[q];
+        w[q] = e->length * weight[q];
+        s[q][0] = w[q] * (1.0 - t) * (1.0 - 2.0 * t);
+        s[q][1] = w[q] * 4.0 * t * (1.0 - t);
+        s[q][2] = w[q] * t * (2.0 * t - 1.0);
+        if (at >= 0) s[q][at] = 0.0;
+    }
+    fill_kernels(tile, pairs, n * count, nu);
+    for (int pair = 0; pair < pairs; pair++)
+        for (int i = 0; i < count; i += VECTOR) {
+            Vector *h0 = (Vector *)(sums->of[pair][0] + i), *h1 = (Vector *)(sums->of[pair][1] + i);
+            Vector *h2 = (Vector *)(sums->of[pair][2] + i), *g = (Vector *)(sums->of[pair][3] + i);
+            Vector x0 = {0.0}, x1 = x0, x2 = x0, x3 = x0;
+            if (add) x0 = *h0, x1 = *h1, x2 = *h2, x3 = *g;
+            for (int q = 0; q < n; q++) {
+                const Vector u = *(const Vector *)(tile->value[pair] + q * count + i);
+                const Vector k = *(const Vector *)(tile->value[pairs + pair] + q * count + i);
+                x3 += w[q] * u;
+                x0 += s[q][0] * k;
+                x1 += s[q][1] * k;
+                x2 += s[q][2] * k;
+            }
+            *h0 = x0, *h1 = x1, *h2 = x2, *g = x3;
+        }
+    set_own(sums, e, pairs, count + (-count & (VECTOR - 1)), sources->z0, nu);
 }
 
-/* Return the least n points that serve, more than MAX_POINTS: none do. */
-INLINE int points_needed(const Rules *rules, double ratio)
+/* Return the least n points that serve, more than MAX_POINTS: none do. From the last answer on, as
+   it is often the same. */
+INLINE int points_needed(const Rules *rules, double ratio, int n)
 {
-    int n = 1;
+    while (n > 1 && rules->reach[n - 1] <= ratio) n--;
     while (n <= MAX_POINTS && rules->reach[n] > ratio) n++;
     return n;
 }
@@ -464,7 +452,7 @@ static int add_points(Points *points, const Rules *rules, const Element *e, doub
     const double span = to - from, middle = 0.5 * (from + to);
     const double distances = hypot(ar + from * e->dr, az + from * e->dz)
                              + hypot(ar + to * e->dr, az + to * e->dz);
-    const int n = points_needed(rules, distances / (e->length * span));
+    const int n = points_needed(rules, distances / (e->length * span), 1);
     if (n > MAX_POINTS)
         return depth < DEEPEST
                && add_points(points, rules, e, ar, az, from, middle, depth + 1)
@@ -472,7 +460,7 @@ static int add_points(Points *points, const Rules *rules, const Element *e, doub
     if (points->count + n > MOST_POINTS) return 0;
     for (int q = 0; q < n; q++) {
         points->place[points->count] = from + span * rules->points[n * MAX_POINTS + q];
-        points->weight[points->count++] = rules->weights[n * MAX_POINTS + q] * span * e->length;
+        points->weight[points->count++] = rules->weights[n * MAX_POINTS + q] * span;
     }
     return 1;
 }
@@ -482,13 +470,12 @@ static int set_points_around(Points *points, const Rules *rules, const Element *
                              double origin)
 {
     const double reach = r / e->length; /* near the axis kernels change over the radius */
-    points->count = 0;
     for (int side = -1; side <= 1; side += 2) {
         const double whole = side < 0 ? origin : 1.0 - origin;
         const double span = r > 0.0 && whole > 1.5 * reach ? reach : whole;
         for (int q = 0; q < MAX_POINTS && whole > 0.0; q++) {
             points->place[points->count] = side * span * rules->singular_points[q];
-            points->weight[points->count++] = rules->singular_weights[q] * span * e->length;
+            points->weight[points->count++] = rules->singular_weights[q] * span;
         }
         if (span < whole
             && !add_points(points, rules, e, 0.0, 0.0, side < 0 ? -whole : span,
@@ -498,38 +485,27 @@ static int set_points_around(Points *points, const Rules *rules, const Element *
     return 1;
 }
 
-/* Set the integrals over an element that is close to one source or holds it, which then is its node
-   `at`, elsewhere -1; that node's shape function is left out. Return the points, -1: too many. */
-static int integrate_near(Tile *tile, Integrals *sums, Points *points, const Element *e, double r,
-                          double z, int at, const Rules *rules, double nu)
+/* Set the integrals over an element that is close to the first of sources, or holds it as its node
+   `at`, elsewhere -1; 0: it is too close. */
+static int integrate_near(Tile *tile, Integrals *sums, Points *points, const Element *e, int pairs,
+                          const Sources *sources, int at, const Rules *rules, double nu)
 {
-    const double origin = at < 0 ? 0.0 : 0.5 * at;
-    const double ar = at < 0 ? e->r - r : 0.0, az = at < 0 ? e->z - z : 0.0;
     points->count = 0;
-    if (!(at < 0 ? add_points(points, rules, e, ar, az, 0.0, 1.0, 0)
-                 : set_points_around(points, rules, e, r, origin)))
-        return -1;
-    memset(sums, 0, sizeof *sums);
+    if (!(at < 0 ? add_points(points, rules, e, sources->a[0], sources->b[0], 0.0, 1.0, 0)
+                 : set_points_around(points, rules, e, sources->r[0], 0.5 * at)))
+        return 0;
     for (int first = 0; first < points->count; first += TILE) {
-        const int count = points->count - first < TILE ? points->count - first : TILE;
-        for (int i = 0; i < count; i++) {
-            tile->r[i] = r;
-            tile->a[i] = ar + points->place[first + i] * e->dr;
-            tile->b[i] = az + points->place[first + i] * e->dz;
-        }
-        fill_ring_kernels(tile, count, nu);
-        for (int i = 0; i < count; i++) {
-            const double w = points->weight[first + i];
-            double s[3];
-            weighted_shapes(origin + points->place[first + i], w, s);
-            if (at >= 0) s[at] = 0.0;
-            for (int pair = 0; pair < 5; pair++) {
-                sums->u[pair][0] += w * tile->value[U_RR + pair][i];
-                for (int k = 0; k < 3; k++)
-                    sums->t[pair][k][0] += s[k] * tile->value[T_RR + pair][i];
-            }
-        }
+        const int n = points->count - first < TILE ? points->count - first : TILE;
+        integrate(tile, sums, e, pairs, sources, 1, at, n, points->place + first,
+                  points->weight + first, first > 0, nu);
     }
-    set_own(sums, e, 1, &z, nu);
-    return points->count;
+    return 1;
+}
+
+/* Add integrals for sources to a column, at their rows, of which -1 is none. */
+static inline void add_to_column(double *restrict column, const int64_t *restrict rows, int count,
+                                 double factor, const double *restrict integrals)
+{
+    for (int i = 0; i < count; i++)
+        if (rows[i] >= 0) column[rows[i]] += factor * integrals[i];
 }

@@ -9,7 +9,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from ringwear_par.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-from typing import NamedTuple
 
 #: the two bodies, in the order of everything that is of both
 BodyName = Literal["lower", "upper"]
@@ -49,28 +48,23 @@ class Section:
     layers: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        inner, outer = self.r
+        (inner, outer), first = self.r, self.layers[0] if self.layers else self.height
         radii, z = [p[0] for p in self.face], [p[1] for p in self.face]
-        sound = not self.face or (
-            (radii[0], radii[-1]) == self.r
-            and all(p < q for p, q in itertools.pairwise(radii))
-            and all(-self.height < v <= 0 for v in z)
+        over_all = not self.face or (
+            (radii[0], radii[-1]) == self.r and all(p < q for p, q in itertools.pairwise(radii))
         )
-        if not (0 <= inner < outer and self.height > 0 and sound):
-            raise InputError(
-                f"section r = {self.r}, height = {self.height}, face = {self.face}: "
-                "0 <= inner < outer radius, a positive height and a face over increasing radii "
-                "between contact plane and fixed face are needed"
-            )
-        if self.layers and not (
-            min(self.layers) > 0
+        if not (
+            0 <= inner < outer
+            and min((self.height, *self.layers)) > 0
             and sum(self.layers) < self.height
-            and all(v > -self.layers[0] for v in z)
+            and over_all
+            and all(-first < v <= 0 for v in z)
         ):
             raise InputError(
-                f"section of height {self.height}, layers = {self.layers}, face = {self.face}: "
-                "layers must be thicker than 0 and together thinner than the body, and the face "
-                "must lie within the first"
+                f"section r = {self.r}, height = {self.height}, layers = {self.layers}, face = "
+                f"{self.face}: 0 <= inner < outer radius, layers thicker than 0 that are together "
+                "thinner than the body, and a face over increasing radii within the first of them, "
+                "or above the fixed face, are needed"
             )
 
     @property
@@ -197,17 +191,20 @@ SHAPE_UNITS = {"crown": "mm", "sphere": "mm", "cone": "deg", "fillet": "mm", "tr
 _SAMPLES, _ARC = 101, 31
 
 
+def _edge_faults(entry: str, inner: float, outer: float, r: Pair) -> list[str]:
+    """Return the faults of an inner and an outer edge, cut off or rounded by so many mm."""
+    faults, width = [], r[1] - r[0]
+    if r[0] == 0 and inner > 0:
+        faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
+    if inner + outer >= width:
+        faults.append(f"{entry}: both together must be < {width:g}, the width of the face (mm)")
+    return faults
+
+
 def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
     """Return the faults of the chamfers of a ring, "key = value: sentence"."""
     entry = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
-    faults = []
-    if r[0] == 0 and chamfer[0] > 0:
-        faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
-    if sum(chamfer) >= r[1] - r[0]:
-        faults.append(
-            f"{entry}: both together must be smaller than the width of the face, "
-            f"{r[1] - r[0]:g} (mm)"
-        )
+    faults = _edge_faults(entry, *chamfer, r)
     if max(chamfer) >= z[1] - z[0]:
         faults.append(f"{entry}: must be smaller than the height, {z[1] - z[0]:g} (mm)")
     return faults
@@ -234,34 +231,28 @@ class Shape(NamedTuple):
 
 def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
     """Return the faults of the shape of a body's face, "key = value: sentence"."""
-    (a, b), height = r, z[1] - z[0]
-    first, faults = shape.numbers[0], []
-    entry = f"profile = {{ {shape.name} = {first:g} }}"
+    (a, b), height, first = r, z[1] - z[0], shape.numbers[0]
+    entry, faults = f"profile = {{ {shape.name} = {first:g} }}", []
     if shape.name == "crown" and first <= 0.5 * (b - a):
         faults.append(f"{entry}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
     elif shape.name == "sphere" and first <= b:
         faults.append(f"{entry}: must be > {b:g}, the outer radius (mm)")
     elif shape.name == "fillet":
         inner, outer = _fillets(shape.numbers, r)
-        entry = f"profile = {{ fillet = [{inner:g}, {outer:g}] }}"
-        if a == 0 and inner > 0:
-            faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
-        if inner + outer >= b - a:
-            faults.append(f"{entry}: both together must be < {b - a:g}, the width of the face (mm)")
+        faults = _edge_faults(f"profile = {{ fillet = [{inner:g}, {outer:g}] }}", inner, outer, r)
     elif shape.name == "trace":
-        ends = shape.numbers[0], shape.numbers[-2]
-        if ends[0] > a + CLOSE * b or ends[1] < b - CLOSE * b:
+        start, end = shape.numbers[0], shape.numbers[-2]
+        if start > a + CLOSE * b or end < b - CLOSE * b:
             faults.append(
-                f"profile: a trace from r = {ends[0]:g} to {ends[1]:g} mm; must cover the face, "
-                f"from {a:g} to {b:g} mm"
+                f"profile: a trace from r = {start:g} to {end:g} mm; must cover the face, from "
+                f"{a:g} to {b:g} mm"
             )
-    if not faults:
-        deepest = -min((depth for _, depth in shape_face(shape, r)), default=0.0)
-        if deepest >= height:
-            faults.append(
-                f"profile = {{ {shape.name} }}: recedes by {deepest:g}; must be < {height:g}, the "
-                "height of the body (mm)"
-            )
+    deepest = 0.0 if faults else -min((depth for _, depth in shape_face(shape, r)), default=0.0)
+    if deepest >= height:
+        faults.append(
+            f"profile = {{ {shape.name} }}: recedes by {deepest:g}; must be < {height:g}, the "
+            "height of the body (mm)"
+        )
     return faults
 
 
@@ -308,27 +299,6 @@ def _filleted(inner: float, outer: float, r: Pair) -> Polyline:
     return tuple((float(x), float(z)) for x, z in points) if inner or outer else ()
 
 
-def _crosses(points: Polyline) -> bool:
-    """Tell whether two segments of a polyline that are not neighbours meet."""
-    xy = np.array(points)
-    start, end = xy[:-1], xy[1:]
-
-    def side(a: FloatArray, b: FloatArray, point: FloatArray) -> FloatArray:
-        """Return on which side of the segments from a to b points lie, by the sign."""
-        along, to = b - a, point - a
-        return along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]
-
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    for i in range(len(start) - 2):
-        p, q, later = start[i], end[i], slice(i + 2, None)
-        a, b = start[later], end[later]
-        near = ((low[later] <= high[i]) & (high[later] >= low[i])).all(axis=1)
-        same_side = side(p, q, a) * side(p, q, b) > 0
-        if (near & ~same_side & (side(a, b, p) * side(a, b, q) <= 0)).any():
-            return True
-    return False
-
-
 def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
     """Return the faults of the profile of "lower" or "upper", "key = value: sentence"."""
     faults = []
@@ -337,32 +307,26 @@ def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
         return f"profile[{i}] = [{profile[i][0]:.12g}, {profile[i][1]:.12g}]"
 
     back = next((i for i, (p, q) in enumerate(itertools.pairwise(profile), 1) if q[0] <= p[0]), 0)
-    if back and _crosses(profile):
-        faults.append(f"{point(back)}: the profile crosses itself; r must increase along it")
-    elif back:
+    if back:
         faults.append(
             f"{point(back)}: the face does not face the other body where r does not increase; "
             f"must be > {profile[back - 1][0]:.12g}, the radius before"
         )
-    else:
-        for i, end, where in ((0, r[0], "inner"), (len(profile) - 1, r[1], "outer")):
-            if abs(profile[i][0] - end) > CLOSE * max(1.0, r[1]):
-                faults.append(
-                    f"{point(i)}: the profile must run from the inner to the outer radius; its "
-                    f"{where} end must have r = {end:.12g} (mm)"
-                )
+    for i, end, where in ((0, r[0], "inner"), (len(profile) - 1, r[1], "outer")):
+        if not back and abs(profile[i][0] - end) > CLOSE * max(1.0, r[1]):
+            faults.append(
+                f"{point(i)}: the profile must run from the inner to the outer radius; its "
+                f"{where} end must have r = {end:.12g} (mm)"
+            )
     slack = CLOSE * max(1.0, *map(abs, z))
-    lowest, highest = (
-        (z[0] + slack, z[1] + slack) if ring == "lower" else (z[0] - slack, z[1] - slack)
-    )
+    low, high = (">", "<=") if ring == "lower" else (">=", "<")
     for i, (_, height) in enumerate(profile):
-        if ring == "lower" and not lowest < height <= highest:
-            faults.append(f"{point(i)}: leaves the body; z must be > {z[0]:g} and <= {z[1]:g} (mm)")
-        elif ring == "upper" and not lowest <= height < highest:
-            faults.append(f"{point(i)}: leaves the body; z must be >= {z[0]:g} and < {z[1]:g} (mm)")
-        else:
-            continue
-        break  # one sentence for all points outside
+        depth = z[1] - height if ring == "lower" else height - z[0]
+        if not -slack <= depth < z[1] - z[0] - slack:
+            faults.append(
+                f"{point(i)}: leaves the body; z must be {low} {z[0]:g} and {high} {z[1]:g} (mm)"
+            )
+            break  # one sentence for all points outside
     return faults
 
 

@@ -1,7 +1,8 @@
-"""``rw.function``: numbers of histories, its outputs, as a function of numbers of their case."""
+"""``rw.function``: numbers of wear histories as a function of numbers of their case."""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,24 +10,30 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, refuse_stop
-from ringwear_par.cases.files.reading import read_case
+from ringwear_par.cases.files.keys import override, read_keys
+from ringwear_par.cases.files.reading import make_case, read_case
+from ringwear_par.cases.schema import unit_of, unit_under
 from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import seconds
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.functions.inputs import CaseInputs, case_inputs
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, LAYER_HISTORIES, Variable, layer_names
+from ringwear_par.studies.variations import (
+    name_fault,
+    own_key,
+    value_of,
+    varied_keys,
+    without_units,
+)
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 #: steps between stored states where only the last state is needed
 _RARELY = 10**9
-#: variables without derivatives: counts, and where histories are at
-_NOT_SMOOTH = ("time", "contact_iterations")
 #: difference of an input over itself, or over 1 of its unit where it is 0
 _STEP = 1e-5
 
@@ -48,116 +55,40 @@ class Output(NamedTuple):
 
         NaN where a case failed, and behind the last state of a case.
         """
-        name, rows = self.variable.name, []
+        rows: list[Any] = []
         for result in outcomes:
-            values = np.full(0 if self.whole else 1, np.nan)
             if isinstance(result, Result):
-                histories = result.histories if name in HISTORIES else result.layers
-                times, values = np.asarray(result.histories["time"]), np.asarray(histories[name])
-                if not self.whole:
-                    row = int(np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME)))
-                    values = values[[min(row, len(times) - 1)]]
-            rows.append(values)
+                times, values = result.data["time"], np.asarray(result.data[self.variable.name])
+                row = int(np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME)))
+                rows.append(values if self.whole else values[[min(row, len(times) - 1)]])
+            else:
+                rows.append([] if self.whole else [np.nan])
         table = np.full((len(rows), max(map(len, rows), default=0)), np.nan)
         for n, values in enumerate(rows):
             table[n, : len(values)] = values
         return table if self.whole else table.reshape(len(rows))
 
 
-def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[Output, ...]:
-    """Return the outputs of a function. Not collective.
-
-    Parameters
-    ----------
-    derivatives : whether all of them are to have derivatives.
-
-    Raises
-    ------
-    InputError : all faults, one sentence each.
-    """
-    if isinstance(texts, str) or not texts or not all(isinstance(text, str) for text in texts):
-        raise InputError(
-            f"function: outputs = {shortened(texts)}: must be a list of names, as ['penetration']"
-        )
-    lower, upper = (bool(ring.layers) for ring in case.rings)
-    layer_histories = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
-    known = HISTORIES | {name: LAYER_HISTORIES[name] for name in layer_histories}
-    smooth = {name: v for name, v in HISTORIES.items() if name not in _NOT_SMOOTH}
-    allowed = smooth if derivatives else known
-    outputs: list[Output] = []
-    faults: list[str] = []
-    for text in texts:
-        name, at, word = (part.strip() for part in text.partition("@"))
-        if name not in allowed:
-            no = "has no derivatives" if name in known else "unknown name"
-            name_unknown_keys("function: outputs", [name], list(allowed), faults, no)
-            continue
-        try:
-            time = seconds(word) if at and word != "all" else math.inf
-        except (RejectedError, ValueError):
-            time = math.nan
-        if not time >= 0.0:
-            sentence = "behind @ must be all, or a time from 0 on (s, or with its unit)"
-            faults.append(f"function: outputs: {legible(text)}: {sentence}")
-        outputs.append(Output(text, allowed[name], time, word == "all"))
-    if faults:
-        raise InputError(*faults)
-    return tuple(outputs)
-
-
-def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
-    """Return changes of a case with which its histories hold some outputs, and little else.
-
-    Raises
-    ------
-    InputError : outputs after the end; the case has no times for outputs of all states, and others
-        are at times.
-    """
-    changes: dict[str, Any] = {"output.fields": [], "output.boundary": None, "stress": None}
-    times = {o.time for o in outputs if 0.0 < o.time < math.inf}
-    field = next((o.text for o in outputs if o.whole), "")
-    if times and field and not case.output.times:
-        raise InputError(
-            f"function: outputs: {field}: needs output.times in the case, beside outputs at times"
-        )
-    end = case.time.end * (1.0 + SAME_TIME)
-    if late := [o for o in outputs if end < o.time < math.inf]:
-        raise InputError(
-            f"function: outputs: {legible(late[0].text)}: {late[0].time:g} s is after the end of "
-            f"the case; must be <= time.end = {case.time.end:g} (s)"
-        )
-    if times:
-        times |= {*case.output.times} if field else set()
-        changes["output.times"] = sorted(times)
-    elif not field:
-        changes["output.every"] = _RARELY
-    return changes
-
-
+@dataclass(eq=False, repr=False)
 class Function:
     """Numbers of wear histories as a function of numbers of a case, see ``function``.
 
     It can be pickled. MPI starts with the first call.
-
-    Parameters
-    ----------
-    inputs, outputs : of the function.
-    derivatives : whether it returns derivatives, too.
-
-    Attributes
-    ----------
-    errors : why cases of the last call failed, by number of the case.
     """
 
-    def __init__(
-        self, inputs: CaseInputs, outputs: Sequence[Output], derivatives: bool = False
-    ) -> None:
-        self._inputs, self._outputs, self._derivatives = inputs, tuple(outputs), derivatives
-        self.errors: dict[int, RingwearError] = {}
+    #: dotted keys and raw values of the case
+    keys: Mapping[str, Any]
+    #: keys of its numbers that vary, and their values
+    inputs: Mapping[str, float]
+    outputs: Sequence[Output]
+    #: whether it returns derivatives, too
+    derivatives: bool
+    #: why cases of the last call failed, by number of the case
+    errors: dict[int, RingwearError] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        outputs = ", ".join(output.text for output in self._outputs)
-        return f"<Function: {', '.join(self._inputs.names)} -> {outputs}>"
+        outputs = ", ".join(output.text for output in self.outputs)
+        return f"<Function: {', '.join(self.inputs)} -> {outputs}>"
 
     @property
     def schema(self) -> dict[str, dict[str, dict[str, Any]]]:
@@ -167,9 +98,15 @@ class Function:
         """
         outputs = {
             output.text: {"unit": output.variable.unit, "meaning": output.variable.meaning}
-            for output in self._outputs
+            for output in self.outputs
         }
-        return {"inputs": self._inputs.schema(), "outputs": outputs}
+        inputs = {}
+        for name, value in self.inputs.items():
+            bounds = [end if math.isfinite(end) else None for end in _ends(name)]
+            unit = unit_under(name, lambda law: [value_of(self.keys, law)]) or "1"
+            about = {"unit": unit, "bounds": bounds, "meaning": own_key(name).meaning}
+            inputs[name] = {**about, "value": value}
+        return {"inputs": inputs, "outputs": outputs}
 
     def __call__(self, values: Mapping[str, Any], comm: "MPI.Comm | None" = None) -> Any:
         """Return the outputs, with derivatives a second dict of them. Collective on comm.
@@ -192,59 +129,53 @@ class Function:
         InputError : inputs that are missing, unknown or no numbers.
         ValueError : inputs that do not broadcast together.
         """
-        rows, shape = self._inputs.rows(values)
-        points = np.reshape(np.array(rows, dtype=float), (len(rows), 1, len(self._inputs.names)))
-        if self._derivatives:
+        points, shape = self._points(values)
+        if self.derivatives:
             steps = self._steps(points[:, 0])
             moved = points + steps[:, None] * np.eye(points.shape[2])
             points = np.concatenate([points, moved], axis=1)
         count, width, inputs = points.shape
-        cases = [self._inputs.case(row) for row in points.reshape(-1, inputs).tolist()]
-        ends = self._step_ends(cases, comm, width) if self._derivatives else None
-        outcomes = self._outcomes(cases, comm, ends)
+        cases = [self._case(row) for row in points.reshape(-1, inputs).tolist()]
+        ends = self._step_ends(cases, comm, width) if self.derivatives else None
+        outcomes = _outcomes(cases, comm, ends)
         errors = enumerate(outcomes)
         self.errors = {n // width: e for n, e in errors if isinstance(e, RingwearError)}
         outputs, derivatives = {}, {}
-        for output in self._outputs:
+        for output in self.outputs:
             states = output.of(outcomes)
             size = (*shape, *states.shape[1:])
             states = states.reshape(count, width, *states.shape[1:])
             outputs[output.text] = states[:, 0].reshape(size)[()]
-            for j, name in enumerate(self._inputs.names if self._derivatives else ()):
+            for j, name in enumerate(self.inputs if self.derivatives else ()):
                 moved = np.moveaxis(states[:, 1 + j] - states[:, 0], 0, -1)
                 slope = np.moveaxis(moved / steps[:, j], -1, 0)
                 derivatives[output.text, name] = slope.reshape(size)[()]
-        return (outputs, derivatives) if self._derivatives else outputs
+        return (outputs, derivatives) if self.derivatives else outputs
+
+    def _points(self, values: Mapping[str, Any]) -> tuple[FloatArray, tuple[int, ...]]:
+        """Return the inputs of each case, (cases, 1, inputs), and the shape they go together to."""
+        values = dict(values)  # of a table of pandas its columns
+        faults: list[str] = []
+        name_unknown_keys("function", map(str, values), list(self.inputs), faults)
+        faults += [f"function: {name}: is missing" for name in self.inputs if name not in values]
+        if faults:
+            raise InputError(*faults)
+        columns = np.broadcast_arrays(*(_numbers(name, values[name]) for name in self.inputs))
+        points = np.stack([column.ravel() for column in columns], axis=-1)
+        return points[:, None], columns[0].shape
+
+    def _case(self, row: Sequence[float]) -> Case | InputError:
+        """Return the case with other numbers, or all its faults."""
+        try:
+            return make_case(varied_keys(self.keys, [*self.inputs], row), "case")
+        except InputError as error:
+            return error
 
     def _steps(self, points: FloatArray) -> FloatArray:
         """Return the differences (cases, inputs) by which inputs are moved, within their bounds."""
         steps = _STEP * np.where(points == 0.0, 1.0, np.abs(points))
-        ends = [entry["bounds"][1] for entry in self._inputs.schema().values()]
-        most = np.array([np.inf if end is None else end for end in ends])
+        most = [_ends(name)[1] for name in self.inputs]
         return np.where(points + steps > most, -steps, steps)
-
-    def _outcomes(
-        self, cases: Sequence[Any], comm: "MPI.Comm | None", ends: Sequence[Any] | None = None
-    ) -> list[Result | RingwearError]:
-        """Return the result of each case, or why it has none. Collective on comm.
-
-        Parameters
-        ----------
-        cases : or errors, which stay.
-        ends : s, of the steps of each case; None: as the cases say.
-        """
-        from mpi4py import MPI  # starts MPI
-
-        from ringwear_par.studies.many import results_of
-
-        good = [n for n, case in enumerate(cases) if isinstance(case, Case)]
-        step_times = None if ends is None else [ends[n] for n in good]
-        world = MPI.COMM_WORLD if comm is None else comm
-        results = results_of([cases[n] for n in good], world, step_times=step_times)
-        outcomes = list(cases)
-        for n, result in zip(good, results, strict=True):
-            outcomes[n] = result if isinstance(result, Result) else result.error
-        return outcomes
 
     def _step_ends(self, cases: list[Any], comm: "MPI.Comm | None", width: int) -> list[Any] | None:
         """Return the ends of the steps that the first of each ``width`` cases makes, s, for all.
@@ -258,7 +189,7 @@ class Function:
         every_step = {"output.every": 1, "output.times": None}
         alone = [c.replace(every_step) if isinstance(c, Case) else c for c in cases[::width]]
         ends: list[Any] = []
-        for n, result in enumerate(self._outcomes(alone, comm)):
+        for n, result in enumerate(_outcomes(alone, comm)):
             if isinstance(result, Result):
                 made, case = result.histories["time"][1:], cases[n * width]
                 asked = [t for t in case.output.times if np.abs(made - t).min() > SAME_TIME * t]
@@ -267,6 +198,53 @@ class Function:
                 cases[n * width : (n + 1) * width] = [result] * width
                 ends += [None] * width
         return ends
+
+
+def _ends(name: str) -> tuple[float, float]:
+    """Return the bounds of an input, infinite for none."""
+    interval = own_key(name).numbers
+    return (-math.inf, math.inf) if interval is None else (interval.low, interval.high)
+
+
+def _numbers(name: str, value: Any) -> FloatArray:
+    """Return an input as an array of numbers in the case's unit."""
+    raw = np.asarray(value, dtype=object)
+    numbers = np.empty(raw.shape)
+    for place, entry in np.ndenumerate(raw):
+        entry = entry.item() if isinstance(entry, np.generic) else entry
+        try:
+            number, reason = without_units(name, entry), ""
+        except RejectedError as error:
+            number, reason = None, f" ({error})"
+        if not is_number(number):
+            unit = f" ({unit_of(name)})" if unit_of(name) else ""
+            raise InputError(
+                f"function: {name} = {shortened(entry)}: must be a number, or an array of "
+                f"numbers{unit}{reason}"
+            )
+        numbers[place] = number
+    return numbers
+
+
+def _outcomes(
+    cases: Sequence[Any], comm: "MPI.Comm | None", ends: Sequence[Any] | None = None
+) -> list[Result | RingwearError]:
+    """Return the result of each case, or why it has none. Collective on comm.
+
+    Parameters
+    ----------
+    cases : or errors, which stay.
+    ends : s, of the steps of each case; None: as the cases say.
+    """
+    from mpi4py import MPI  # starts MPI
+
+    from ringwear_par.studies.many import results_of
+
+    results = results_of(cases, MPI.COMM_WORLD if comm is None else comm, step_times=ends)
+    return [result if isinstance(result, Result) else result.error for result in results]
+
+
+# -- reading ---------------------------------------------------------------------------------------
 
 
 def function(
@@ -304,16 +282,81 @@ def function(
     """
     base = case if isinstance(case, Case) else read_case(case)
     refuse_stop(base, "function", "in a function of a case")
-    read = read_outputs(base, outputs, derivatives)
-    changed = case_inputs(base, inputs, storing(base, read))
+    for what, names, such in (("inputs", inputs, "wear.lower.k"), ("outputs", outputs, "torque")):
+        if isinstance(names, str) or not names or not all(isinstance(n, str) for n in names):
+            raise InputError(
+                f"function: {what} = {shortened(names)}: must be a list of names, as ['{such}']"
+            )
     if derivatives and base.follows_wear:
         raise InputError(
             'function: mesh.geometry = "updated": has no derivatives; must be "fixed" with them'
         )
-    faults: list[str] = []
-    if derivatives:
-        no = "has no derivatives, as the history does not depend on it smoothly"
-        name_unknown_keys("function: inputs", inputs, list(smooth_keys(base)), faults, no)
+    base = base.replace({})  # refused where its text does not tell its keys
+    keys, faults = read_keys(base.text), list[str]()
+    read = _read_outputs(base, outputs, faults)
+    values = _read_inputs(base, keys, inputs, derivatives, faults)
     if faults:
         raise InputError(*faults)
-    return Function(changed, read, derivatives)
+    made = Function(override(keys, _storing(base, read)), values, read, derivatives)
+    if isinstance(error := made._case([*values.values()]), InputError):
+        raise error
+    return made
+
+
+def _read_inputs(
+    case: Case,
+    keys: Mapping[str, Any],
+    names: Sequence[str],
+    derivatives: bool,
+    faults: list[str],
+) -> dict[str, float]:
+    """Return the values of the inputs in the case, and add the faults of those that are none."""
+    force: Any = case.load.force
+    if is_number(force):  # or its pressure
+        keys = {"load.force": force, "load.pressure": force / case.area, **keys}
+    values = {}
+    for name in names:
+        if fault := name_fault(f"function: inputs: {legible(name)}", name, name):
+            faults.append(fault)
+        elif is_number(value := value_of(keys, name)):
+            values[name] = float(value)
+        else:
+            state = "is not in it" if value is None else f"= {shortened(value)}"
+            faults.append(f"function: inputs: {name} {state}: must be a number in the case")
+    if derivatives:
+        no = "has no derivatives, as the history does not depend on it smoothly"
+        name_unknown_keys("function: inputs", values, list(smooth_keys(case)), faults, no)
+    return values
+
+
+def _read_outputs(case: Case, texts: Sequence[str], faults: list[str]) -> list[Output]:
+    """Return the outputs, and add the faults of those that are none."""
+    names = layer_names((bool(case.lower.layers), bool(case.upper.layers)))
+    known = {**HISTORIES, **{n: LAYER_HISTORIES[n] for n in names if n in LAYER_HISTORIES}}
+    outputs: list[Output] = []
+    for text in texts:
+        name, at, word = (part.strip() for part in text.partition("@"))
+        if name not in known:
+            name_unknown_keys("function: outputs", [name], list(known), faults, "unknown name")
+            continue
+        try:
+            time = seconds(word) if at and word != "all" else math.inf
+        except (RejectedError, ValueError):
+            time = math.nan
+        if not (0.0 <= time <= case.time.end * (1.0 + SAME_TIME) or time == math.inf):
+            faults.append(
+                f"function: outputs: {legible(text)}: behind @ must be all, or a time (s, or with "
+                f"its unit) from 0 to time.end = {case.time.end:g}"
+            )
+        outputs.append(Output(text, known[name], time, word == "all"))
+    return outputs
+
+
+def _storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
+    """Return changes of a case with which its histories hold some outputs, and little else."""
+    changes: dict[str, Any] = {"output.fields": [], "output.boundary": None, "stress": None}
+    if times := {o.time for o in outputs if 0.0 < o.time < math.inf}:
+        changes["output.times"] = sorted(times | {*(case.output.times or ())})
+    elif not any(o.whole for o in outputs):
+        changes["output.every"] = _RARELY
+    return changes

@@ -5,11 +5,10 @@ from collections.abc import Hashable
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.elasticity.bem.pair import ContactPair, assemble_pair
-from ringwear_par.elasticity.bem.updated import UpdatedGeometry
+from ringwear_par.elasticity.bem.pair import ContactPair, UpdatedGeometry, assemble_pair
 from ringwear_par.elasticity.mesh import pair_key
 from ringwear_par.elasticity.sections import Body, Material
-from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
+from ringwear_par.elasticity.stress.recovery import BoundaryRecovery
 
 
 def bodies(case: Case) -> tuple[Body, Body]:

@@ -143,8 +143,8 @@ def simulate(
         accepted, stuck, length = as_on_first_rank(comm, verdict)
         before = state
         state = _after(block, state, step.state, accepted, step_error(block, step, share))
-        if (entered := (state.layer != before.layer).any(axis=(0, 2))).any():
-            state = settled(block, solver, state, entered)
+        if block.layered and (entered := state.layer != before.layer).any():
+            state = settled(block, solver, state, entered.any(axis=(0, 2)))
         state = replace(state, length=length, interface=np.where(going, step.interface, np.inf))
         off = accepted & _is_off(block, state)
         for row in np.flatnonzero(stuck & going).tolist():

@@ -9,7 +9,7 @@ from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
+from ringwear_par.elasticity.bem.boundary import count_at_interfaces, count_elements, zone_meshes
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
 
@@ -56,10 +56,9 @@ def stress_numbers(case: Case) -> tuple[float, float]:
     if isinstance(case.stress.times, tuple):
         rows = min(rows, float(len(case.stress.times)))
     along = sum(
-        2.0 * len(ring.layers)
-        * face_elements(case.section(ring), case.contact, case.mesh, fine=True)
+        2.0 * count_at_interfaces(case.section(ring), case.contact, case.mesh)
         for ring in case.rings
-    )  # fmt: skip
+    )
     # looking for the largest stress takes some of its own
     return case.stress.size + SEARCHED, rows * (
         12.0 * case.stress.size + 12.0 * case.mesh.contact_elements + 7.0 * along
@@ -67,7 +66,7 @@ def stress_numbers(case: Case) -> tuple[float, float]:
 
 
 def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
-    """Return how many numbers the systems of two bodies take at once, on all ranks together.
+    """Return how many numbers the systems of a body take at once, on all ranks together.
 
     Parameters
     ----------
@@ -75,16 +74,18 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     loads : right-hand sides.
     """
     matrix, right = unknowns**2, unknowns * loads
-    of_a_body = 1.25 * matrix + 1.5 * right
-    if ranks == 1:  # one body after another: its rows, their factors
-        return 2.0 * of_a_body
+    rows = 1.25 * matrix + 1.5 * right
+    # of one body after another: its rows, their factors, the values on its whole boundary
+    alone = 2.0 * rows + 2.25 * right
+    if ranks == 1:
+        return alone
     from ringwear_par.elasticity.bem.solve import has_scalapack, solved_on_one_rank
 
-    if solved_on_one_rank(round(unknowns), ranks):  # both at once: rows, gathered ones, factors
-        return 6.0 * of_a_body
-    # one body after another: its rows, and the copies of PETSc 3.18, measured on 2 ranks
+    if solved_on_one_rank(round(unknowns), ranks):
+        return ranks * alone
+    # its rows, the copies of PETSc 3.18, measured on 2 ranks, the solution and values on each rank
     copies = 6.0 if has_scalapack() else 1.0 + 3.0 * ranks
-    return of_a_body + copies * (matrix + right)
+    return rows + copies * (matrix + right) + ranks * 3.75 * right
 
 
 def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> None:

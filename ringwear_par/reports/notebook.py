@@ -42,11 +42,11 @@ def _picture(outcome: Outcome) -> str:
 def study_html(study: Study) -> str:
     """Return the varied keys of a study, and the rig of its first case. Not collective."""
     rows, units = [], study.units()
-    for name, column in zip(study.names, study.columns, strict=True):
-        values, numbers = column.distinct, column.numbers
+    for name, column in study.columns.items():
+        values = [*{str(value): value for value in column.tolist()}.values()]
         words = ", ".join(f"{v:.4g}" if is_number(v) else str(v) for v in values)
-        if numbers is not None and len(values) > _LISTED:
-            words = f"{len(values)} from {numbers.min():.4g} to {numbers.max():.4g}"
+        if len(values) > _LISTED and all(map(is_number, values)):
+            words = f"{len(values)} from {min(values):.4g} to {max(values):.4g}"
         cells = (escape(name), escape(words), units[name])
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
     table = "<table><tr><th>key</th><th>values</th><th>unit</th></tr>" + "".join(rows) + "</table>"

@@ -16,8 +16,13 @@ from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.export import export as export_run
 from ringwear_par.results.export import titled
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.end_values import end_value_of, meaning_of
-from ringwear_par.studies.ensemble import RESULTS, Ensemble, join_flags, read_ensemble
+from ringwear_par.studies.ensemble import (
+    RESULTS,
+    Ensemble,
+    end_value_of,
+    meaning_of,
+    read_ensemble,
+)
 from ringwear_par.studies.variations import own_key
 
 _TABLES = (".csv", ".xlsx")
@@ -78,7 +83,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
     for name, values in ensemble.final.items():
         columns[name] = end_value_of(name)[0].stored.unit, meaning_of(name), values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
-    flags = [join_flags(flags) for flags in ensemble.flags]
+    flags = ensemble.flags
     columns["flags"] = "", "what makes the answer doubtful or ended the case early", flags
     header = [f"{name} ({unit})" if unit not in ("", "1") else name
               for name, (unit, _, _) in columns.items()]  # fmt: skip

@@ -13,21 +13,18 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
-from ringwear_par.studies.end_values import (
-    display_of,
-    figure_columns,
-    final_name,
-    meaning_of,
-)
-from ringwear_par.studies.ensemble import Ensemble, count_flags, read_ensemble
-from ringwear_par.studies.factors import done_cases, raw_words
-from ringwear_par.studies.pictures.effects import (
+from ringwear_par.studies.ensemble import Ensemble, count_flags, meaning_of, read_ensemble
+from ringwear_par.studies.pictures import (
     Choice,
     choose,
+    display_of,
     effects,
+    figure_columns,
+    final_name,
+    histories,
     index_panels,
+    raw_words,
 )
-from ringwear_par.studies.pictures.histories import histories
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
@@ -47,7 +44,7 @@ def sweep_page(folder: Path) -> page.Page:
     """
     ensemble = read_ensemble(folder)
     sections = [page.Section("Summary", _summary(ensemble))]
-    if done_cases(ensemble).any():
+    if ensemble.done.any():
         choice = choose(ensemble)
         sections.append(page.Section("Histories", [_histories(ensemble, choice)]))
         sections.append(page.Section("Final values", _effects(ensemble, choice)))
@@ -64,8 +61,7 @@ def sweep_page(folder: Path) -> page.Page:
 def _summary(ensemble: Ensemble) -> list[page.Block]:
     cases = np.arange(len(ensemble.ids))
     status = Counter(ensemble.status[i] for i in cases)
-    flags = Counter(ensemble.flags[i] for i in cases if ensemble.flags[i])
-    doubts = [count_flags(flags)] if flags else []
+    doubts = [count_flags(ensemble.flags)] if any(ensemble.flags) else []
     if status["failed"]:
         doubts.append(
             f"{status['failed']} of {len(cases)} cases failed; the table of cases has why"
@@ -74,7 +70,7 @@ def _summary(ensemble: Ensemble) -> list[page.Block]:
     method = ensemble.attributes["method"]
     lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
-    done = done_cases(ensemble)
+    done = ensemble.done
     blocks: list[page.Block] = [_tiles(ensemble, done, len(cases), len(doubts))]
     if doubts:
         blocks.append(page.Lines(doubts, warning=True))
@@ -206,13 +202,11 @@ def _cases(ensemble: Ensemble) -> list[page.Block]:
 
 def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
     """Return cases, (n,) numbers, the worst first: see the caption of their table."""
+    depths = np.nan_to_num(ensemble.final["penetration"][cases]).tolist()
+    counts = [len(flags.split(", ")) if flags else 0 for flags in ensemble.flags]
     order = [
-        (ensemble.status[i] == "done", -len(ensemble.flags[i]), -penetration)
-        for i, penetration in zip(
-            cases.tolist(),
-            np.nan_to_num(ensemble.final["penetration"][cases]).tolist(),
-            strict=True,
-        )
+        (ensemble.status[i] == "done", -counts[i], -depth)
+        for i, depth in zip(cases.tolist(), depths, strict=True)
     ]
     return cases[sorted(range(len(cases)), key=order.__getitem__)]
 
@@ -223,7 +217,7 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
     header = ["case", "status", *(quantity_label(*entry) for entry in ensemble.units.items())]
     header += [display.label for display in displays.values()]
     remarks = {
-        "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
+        "flags": [flags.replace("_", " ") for flags in ensemble.flags],
         "error": ensemble.error,
     }
     remarks = {name: texts for name, texts in remarks.items() if any(texts[i] for i in tabulated)}

@@ -12,25 +12,23 @@ an array are all the same; each ends when all blocks are there.
 import fcntl
 import logging
 import time
-from collections.abc import Generator, Hashable, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.bem.boundary import count_elements
-from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.studies.block_files import arrays_of
 from ringwear_par.studies.study import Study
-from ringwear_par.studies.together import computed_with_pairs, most_together
+from ringwear_par.studies.together import most_together
 
 log = logging.getLogger(__name__)
 
 #: folder of the blocks, in that of the sweep
 FOLDER = "blocks"
+#: most states of a chunk
+_STATES = 32
 #: s, between two looks whether others have ended, while they are at work on the last blocks
 _SHORTEST_NAP, _LONGEST_NAP = 0.01, 2.0
 
@@ -43,6 +41,9 @@ class Block:
     path: Path
     #: of the cases in the study
     numbers: IntArray
+    #: lengths of a chunk of stored arrays by axis, the same for all blocks of a study; that of
+    #: "case" is the largest one
+    chunk: Mapping[str, int]
 
 
 def blocks_of(study: Study, folder: Path) -> list[Block]:
@@ -51,9 +52,18 @@ def blocks_of(study: Study, folder: Path) -> list[Block]:
     elements = sum(count_elements(first.section(r), first.contact, first.mesh) for r in first.rings)
     n = elements / 318.0  # to which the seconds are: all pairs of elements, and their factors
     assembly = 0.03 + 0.04 * n**2 + 0.006 * n**3
-    size = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
+    most = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
+    size = 1 << (most.bit_length() - 1)  # of which chunks are a whole part
+    chunk = {
+        "case": min(size, len(study)),
+        "step": int(np.clip(first.stored_rows, 1, _STATES)),
+        "element": first.line.n,
+        "layer": len(first.lower.layers) + 1,
+        "layer_upper": len(first.upper.layers) + 1,
+        "point": max(1, len(first.stress.points)) if first.stress else 1,
+    }
     parts = np.split(study.order, range(size, len(study), size))
-    return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part) for part in parts]
+    return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part, chunk) for part in parts]
 
 
 def there(blocks: Iterable[Block]) -> int:
@@ -105,24 +115,3 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
         if left:
             time.sleep(nap)
             nap = min(2.0 * nap, _LONGEST_NAP)
-
-
-# -- a block is computed -----------------------------------------------------------------------
-
-
-def compute(
-    study: Study, block: Block, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
-) -> dict[str, Any]:
-    """Return all that is stored of a block's cases, by name, (cases, ...). Collective on comm.
-
-    Failed cases are among them, with their reasons.
-
-    Parameters
-    ----------
-    pairs : contact pairs of earlier blocks; those of this one are added.
-    """
-    cases = study.cases_of(block.numbers)
-    parts, errors = computed_with_pairs(cases, pairs, comm)
-    histories = [(np.array(part.numbers), part.columns) for part in parts]
-    ids = study.ids(block.numbers)
-    return {"case": ids, "number": block.numbers, **arrays_of(cases, histories, errors)}

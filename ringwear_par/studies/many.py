@@ -4,13 +4,14 @@ import logging
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import as_ours, together
@@ -73,27 +74,28 @@ def simulate_all(
 
 
 def results_of(
-    cases: Sequence[Case],
+    cases: Sequence[Case | RingwearError],
     comm: MPI.Comm,
     *,
     batch: int | None = None,
-    step_times: Sequence[Sequence[float]] | None = None,
+    step_times: Sequence[Any] | None = None,
     paces: Sequence[FloatArray] | None = None,
 ) -> list[Result | FailedResult]:
     """Return the histories of cases on all ranks, see ``simulate_all``. Collective on comm.
 
     Blocks of cases of one contact pair are computed by the ranks in turn. Step times (s) are the
-    ends of the steps of each case; paces (2, steps) are factors on the rates of each.
+    ends of the steps of each case; paces (2, steps) are factors on the rates of each. A case may be
+    an error already.
     """
     groups: dict[Hashable, list[int]] = defaultdict(list)
+    blocks: list[list[int]] = []
     for number, case in enumerate(cases):
         try:
-            groups[operator_key(case)].append(number)
+            groups[operator_key(cast(Case, case))].append(number)
         except Exception:  # of a case that is no good; its block says why
-            groups[number].append(number)
-    blocks = []
+            blocks.append([number])
     for numbers in groups.values():
-        size = batch or min(most_together(cases[numbers[0]]), _MOST)
+        size = batch or min(most_together(cast(Case, cases[numbers[0]])), _MOST)
         blocks += [numbers[i : i + size] for i in range(0, len(numbers), size)]
     pairs: dict[Hashable, ContactPair] = {}
 
@@ -122,19 +124,20 @@ def results_of(
     return [results[number] for number in range(len(cases))]
 
 
-def _checked(case: Case) -> Case | Exception:
+def _checked(case: Case | RingwearError) -> Case | Exception:
     """Return a case, or why it cannot be computed."""
     try:
-        check_case(case, 1, "case", known_mesh=True)  # its contact pair is checked with its mesh
+        if isinstance(case, Case):  # its contact pair is checked with its mesh
+            check_case(case, 1, "case", known_mesh=True)
     except Exception as error:
         return error
     return case
 
 
-def _failed(case: Case, error: Exception) -> FailedResult:
+def _failed(case: Case | RingwearError, error: Exception) -> FailedResult:
     """Return the result of a case that failed."""
     log.debug("a case failed", exc_info=error)
     reason = as_ours(error)
     # they hold the model and its matrices
     reason.__traceback__ = reason.__cause__ = reason.__context__ = None
-    return FailedResult(case.stored_text, reason)
+    return FailedResult(case.stored_text if isinstance(case, Case) else "", reason)

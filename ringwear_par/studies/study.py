@@ -8,13 +8,14 @@ found when it is made, and fails alone.
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
@@ -23,14 +24,15 @@ from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
 from ringwear_par.cases.schema import unit_under
-from ringwear_par.cases.values import Interval, is_number
+from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import read_text, toml_text
+from ringwear_par.files.text import read_text, toml_text, toml_value
 from ringwear_par.history.refusals import check_memory, check_mesh
-from ringwear_par.studies.designs import read_draft
 from ringwear_par.studies.variations import (
-    Column,
+    cell,
+    mapped,
     path_of,
+    read_draft,
     split_key,
     value_of,
     varied_keys,
@@ -55,19 +57,19 @@ class Study:
     text : its TOML text.
     method : of the design.
     base : dotted keys and raw values of the base case.
-    names : the varied keys.
-    columns : their raw values in all cases, in the order of ``names``.
+    columns : raw values of the varied keys, (cases,) float64, or objects where not all are floats.
+    ranges : "linear" or "log" and both ends, of keys that vary by ranges.
     """
 
     name: str
     text: str
     method: str
     base: Mapping[str, Any]
-    names: tuple[str, ...]
-    columns: tuple[Column, ...]
+    columns: Mapping[str, NDArray[Any]]
+    ranges: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        return len(self.columns[0])
+        return len(next(iter(self.columns.values())))
 
     def __repr__(self) -> str:
         varied = ", ".join(self.names)
@@ -77,6 +79,11 @@ class Study:
         """Return its varied keys and the rig of its first case, for notebooks."""
         # pages stand on studies, which know nothing else of them
         return str(import_module("ringwear_par.reports.notebook").study_html(self))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The varied keys."""
+        return tuple(self.columns)
 
     @property
     def base_text(self) -> str:
@@ -90,20 +97,34 @@ class Study:
     def _laws(self, key: str) -> list[Any]:
         """Return the laws that the key of a law has in the cases."""
         base = value_of(self.base, key)
-        if key not in self.names:
-            return [base]
-        laws = self.columns[self.names.index(key)].distinct
+        laws = dict.fromkeys(self.columns[key].tolist()) if key in self.columns else (base,)
         return [base if law is None else law for law in laws]
+
+    def stored(self, name: str) -> Any:
+        """Return the values of a key as results have them: numbers or bytes."""
+        if name in self._numeric:
+            return self._numeric[name]
+        return np.array([text.encode() for text in mapped(self.columns[name], cell)])
+
+    @cached_property
+    def _numeric(self) -> dict[str, FloatArray]:
+        """The columns whose values are all numbers."""
+        return {
+            name: column.astype(float)
+            for name, column in self.columns.items()
+            if column.dtype == float or all(map(is_number, column))
+        }
 
     # -- cases -------------------------------------------------------------------------------------
 
     def keys(self, number: int) -> dict[str, Any]:
         """Return the dotted keys and raw values of a case, from 0 on."""
-        return self.keys_of([column[number] for column in self.columns])
+        return self.keys_of([column[number] for column in self.columns.values()])
 
     def keys_of(self, row: Sequence[Any]) -> dict[str, Any]:
         """Return the keys of a case with a row of values."""
-        return varied_keys(self.base, self._parts, row)
+        values = [float(value) if isinstance(value, np.float64) else value for value in row]
+        return varied_keys(self.base, self.names, values)
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""
@@ -137,13 +158,13 @@ class Study:
         """Columns of numbers: cases that differ in them only are copies of each other."""
         numbers: dict[Number, FloatArray] = {}
         paths = {*self.base, *map(path_of, self.names)}
-        for (path, entry), column in zip(self._parts, self.columns, strict=True):
-            body, _, name = path.partition(".")
-            layered = name == "young" and f"{body}.layers" in paths  # no factor of the elasticity
-            if isinstance(entry, int) or column.numbers is None or layered:
+        for name, (path, entry) in zip(self.names, self._parts, strict=True):
+            body, _, last = path.partition(".")
+            layered = last == "young" and f"{body}.layers" in paths  # no factor of the elasticity
+            if isinstance(entry, int) or name not in self._numeric or layered:
                 continue
             if interval_of((path, entry)) is not None:
-                numbers[path, entry] = column.numbers
+                numbers[path, entry] = self._numeric[name]
         return numbers
 
     def cases_of(self, numbers: IntArray) -> list[Case | InputError]:
@@ -155,24 +176,24 @@ class Study:
         kinds = self._kinds[numbers]
         for kind in np.unique(kinds):
             places = np.flatnonzero(kinds == kind)
-            pattern: Any = None
-            while len(places) and not isinstance(pattern, Case):
-                cases[places[0]] = pattern = self._case_or_error(int(numbers[places[0]]))
-                places = places[1:]
-            if not len(places):
-                continue
             values = {name: column[numbers[places]] for name, column in self._numbers.items()}
             alone = np.zeros(len(places), dtype=bool)
-            for name, column in values.items():
-                alone |= ~_interval(name).holds(column)
-            if values:
+            for number, column in values.items():
+                if (interval := interval_of(number)) is not None:
+                    alone |= ~interval.holds(column)
+            tried = map(self._case_or_error, numbers[places[~alone]].tolist())
+            pattern = next((case for case in tried if isinstance(case, Case)), None)
+            if pattern is None:
+                alone[:] = True
+            elif values:
                 alone |= needs_reading(pattern, values)
-            floats = {name: column[~alone].tolist() for name, column in values.items()}
-            copies = with_numbers(pattern, floats, [""] * int((~alone).sum()))
-            for place, case in zip(places[~alone], copies, strict=True):
-                cases[place] = case
             for place in places[alone]:
                 cases[place] = self._case_or_error(int(numbers[place]))
+            if pattern is not None:
+                floats = {name: column[~alone].tolist() for name, column in values.items()}
+                copies = with_numbers(pattern, floats, [""] * int((~alone).sum()))
+                for place, case in zip(places[~alone], copies, strict=True):
+                    cases[place] = case
         return cases
 
     # -- their order ---------------------------------------------------------------------------
@@ -195,9 +216,10 @@ class Study:
     def _codes(self, starts: str | tuple[str, ...]) -> IntArray:
         """Return (cases,) equal numbers where keys that start so, and are no numbers, agree."""
         codes = np.zeros(len(self), dtype=np.int64)
-        for part, column in zip(self._parts, self.columns, strict=True):
+        for part, column in zip(self._parts, self.columns.values(), strict=True):
             if part[0].startswith(starts) and part not in self._numbers:
-                codes = codes * (int(column.codes.max()) + 1) + column.codes
+                first, own = _distinct(column)
+                codes = codes * len(first) + own
                 codes = np.unique(codes, return_inverse=True)[1].astype(np.int64)
         return codes
 
@@ -212,8 +234,8 @@ class Study:
         base = {path: raw for path, raw in self.base.items() if path != "title"}
         common = hashlib.sha256(_json(_content(base), self.names))
         columns = [
-            column.part(numbers).by_case(partial(_content, path=path))
-            for (path, _), column in zip(self._parts, self.columns, strict=True)
+            mapped(column[numbers], partial(_content, path=path))
+            for (path, _), column in zip(self._parts, self.columns.values(), strict=True)
         ]
         ids = []
         for row in zip(*columns, strict=True):
@@ -226,15 +248,14 @@ class Study:
         """Return the name of some cases by their contents and this version, 16 digits."""
         return hashlib.sha256(__version__.encode() + self.ids(numbers).tobytes()).hexdigest()[:16]
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the fields, for other ranks."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
-
-def _interval(number: Number) -> Interval:
-    interval = interval_of(number)
-    assert interval is not None
-    return interval
+def _distinct(column: NDArray[Any]) -> tuple[IntArray, IntArray]:
+    """Return where each value is first, and which each case has: numbers in order, or by place."""
+    if column.dtype == object:
+        texts = mapped(column, toml_value)
+        codes = {text: code for code, text in enumerate(dict.fromkeys(texts))}
+        column = np.array([codes[text] for text in texts])
+    return np.unique(column, return_index=True, return_inverse=True)[1:]
 
 
 def _json(*content: Any) -> bytes:
@@ -280,7 +301,7 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
     >>> len(study)
     45
     """
-    study = Study(*read_draft(source))
+    study = Study(**read_draft(source))
     _check(study, ranks_per_case)
     return study
 
@@ -291,37 +312,27 @@ def _check(study: Study, ranks: int) -> None:
     A value is bad if it is with those of the first case, and in the last case that has it.
     """
 
-    def error_of(make: Callable[[], Case], shape: bool = True) -> InputError | None:
+    def error_of(make: Callable[[], Case]) -> InputError | None:
         try:
-            case = make()
-            check_memory(case, ranks, study.name)
-            if shape:
-                check_mesh(case, study.name)
+            make()
         except InputError as error:
             return error
         return None
 
-    if error := error_of(partial(study.case, study.first)):
-        raise error
-    row, faults = [column[study.first] for column in study.columns], list[str]()
-    for i, column in enumerate(study.columns):
-        shape = study.names[i].startswith(_SHAPE)
-        for number in _ends(column):
-            keys = study.keys_of([*row[:i], column[number], *row[i + 1 :]])
-            name = f"{study.name}: case {number + 1}"
-            error = error_of(partial(make_case, keys, name, ""), shape)
-            last = int(np.flatnonzero(column.codes == column.codes[number])[-1])
-            if error and error_of(partial(study.case, last), shape):
+    case = study.case(study.first)
+    check_memory(case, ranks, study.name)
+    check_mesh(case, study.name)
+    row, faults = [column[study.first] for column in study.columns.values()], list[str]()
+    for i, column in enumerate(study.columns.values()):
+        first, codes = _distinct(column)
+        ends = np.arange(len(first))  # or the least and the largest number, or some texts
+        if len(first) > _MOST_VALUES:
+            ends = ends[[0, -1]] if column.dtype == float else ends[:_MOST_VALUES]
+        for end in ends:
+            keys = study.keys_of([*row[:i], column[first[end]], *row[i + 1 :]])
+            make = partial(make_case, keys, f"{study.name}: case {first[end] + 1}", "")
+            last = partial(study.case, int(np.flatnonzero(codes == end)[-1]))
+            if (error := error_of(make)) and error_of(last):
                 faults += error.faults
     if faults:
         raise InputError(*faults)
-
-
-def _ends(column: Column) -> list[int]:
-    """Return numbers of cases that have the values of a column, or the least and the largest."""
-    _, first = np.unique(column.codes, return_index=True)
-    if len(first) <= _MOST_VALUES:
-        return np.sort(first).tolist()
-    if column.numbers is None:
-        return np.sort(first)[:_MOST_VALUES].tolist()
-    return [int(column.numbers.argmin()), int(column.numbers.argmax())]

@@ -21,9 +21,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.end_values import end_value_of
-from ringwear_par.studies.ensemble import Ensemble, read_ensemble
-from ringwear_par.studies.factors import Factor, done_cases
+from ringwear_par.studies.ensemble import Ensemble, Factor, end_value_of, factors_of, read_ensemble
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +52,13 @@ _FORMS: dict[str, tuple[Any, Any]] = {
 }
 
 
+def chosen_cases(cases: IntArray, most: int) -> IntArray:
+    """Return the cases, or so many of them chosen at random, increasing."""
+    if len(cases) <= most:
+        return cases
+    return np.sort(np.random.default_rng(SEED).choice(cases, most, replace=False))
+
+
 # -- responses -------------------------------------------------------------------------------------
 
 
@@ -80,28 +85,30 @@ class Response:
         """The error as a part of the spread, 0 where nothing varies."""
         return self.error / self.spread if self.spread else 0.0
 
+    def of_form(self, table: FloatArray) -> FloatArray:
+        """Return the values of the response with some values of its form."""
+        return np.clip(_FORMS[self.form][1](table), *self.limits)
+
     def shifted(self, values: FloatArray, errors: float) -> FloatArray:
         """Return values of the response, shifted by a number of errors of its form."""
-        function, back = _FORMS[self.form]
-        return np.clip(back(function(values) + errors * self.form_error), *self.limits)
+        return self.of_form(_FORMS[self.form][0](values) + errors * self.form_error)
 
     def at(self, points: FloatArray, *, deviations: bool = False) -> FloatArray:
         """Return values, or standard deviations, (points, columns) at points.
 
         A standard deviation is half of what lies between one of the form below and above.
         """
-        back, parts = _FORMS[self.form][1], []
+        parts = []
         for chunk in np.array_split(points, 1 + len(points) // _CHUNK):
             if deviations:
                 mean, width = self.process.predict(chunk, return_std=True)
-                low, high = (np.clip(back(mean + s * width), *self.limits) for s in (-1.0, 1.0))
-                parts.append(0.5 * (high - low))
+                parts.append(0.5 * (self.of_form(mean + width) - self.of_form(mean - width)))
             else:
-                parts.append(np.clip(back(self.process.predict(chunk)), *self.limits))
+                parts.append(self.of_form(self.process.predict(chunk)))
         return np.concatenate(parts).reshape(len(points), math.prod(self.shape))
 
 
-def fit_response(
+def _fitted(
     name: str, values: FloatArray, points: FloatArray, columns: Sequence[FloatArray]
 ) -> Response:
     """Return the response (cases, ...) at points, in the form with the smallest error.
@@ -116,9 +123,8 @@ def fit_response(
     spread = _rms(flat - flat.mean(axis=0))
     if spread <= 1e-12 * float(np.abs(flat).max()):
         return Response("itself", _process(points, flat, False), 0.0, shape, limits, 0.0, 0.0)
-    forms = ["itself", *["square root"] * (low >= 0.0), *["logarithm"] * (low > 0.0)]
     responses = []
-    for form in forms:
+    for form in ["itself", *["square root"] * (low >= 0.0), *["logarithm"] * (low > 0.0)]:
         function, back = _FORMS[form]
         table = function(flat)
         process = _process(points, table, True)
@@ -199,11 +205,6 @@ class Surrogate:
         return {name: response.relative_error for name, response in self.responses.items()}
 
     @property
-    def good(self) -> list[str]:
-        """Names of the responses that vary and have small errors."""
-        return [name for name, error in self.relative_error.items() if 0.0 < error <= GOOD]
-
-    @property
     def ranges(self) -> dict[str, tuple[Any, ...]]:
         """Lowest and highest value of each varied key; all values of one that is a text."""
         return {factor.name: factor.texts or (factor.low, factor.high) for factor in self.factors}
@@ -234,7 +235,7 @@ class Surrogate:
                 f"vary, {', '.join(self.ranges)}"
             )
         columns = np.broadcast_arrays(*(f.read(values[f.name]) for f in self.factors))
-        points = self._points([column.ravel() for column in columns])
+        points = _points(self.factors, [column.ravel() for column in columns])
         return {
             name: response.at(points, deviations=deviations).reshape(
                 (*columns[0].shape, *response.shape)
@@ -242,27 +243,36 @@ class Surrogate:
             for name, response in self.responses.items()
         }
 
-    def _points(self, columns: Sequence[Any]) -> FloatArray:
-        """Return points from the values of each factor."""
-        return np.hstack([f.coordinates(c) for f, c in zip(self.factors, columns, strict=True)])
-
     def at(self, name: str, shares: FloatArray) -> FloatArray:
         """Return a number, (n,), at shares (n, factors) from 0 to 1 of what varies."""
-        points = self._points([f.at(c) for f, c in zip(self.factors, shares.T, strict=True)])
-        return self.responses[name].at(points)[:, 0]
+        columns = [f.at(c) for f, c in zip(self.factors, shares.T, strict=True)]
+        return self.responses[name].at(_points(self.factors, columns))[:, 0]
 
     def mean_along(self, key: str, name: str) -> tuple[FloatArray, FloatArray]:
         """Return values of a key, and the mean of a number over the other keys at each."""
-        from scipy.stats import qmc  # slow to import
-
         (i,) = (i for i, factor in enumerate(self.factors) if factor.name == key)
         texts = len(self.factors[i].texts)
         shares = (np.arange(texts) + 0.5) / texts if texts else np.linspace(0.0, 1.0, _ALONG)
-        others = qmc.Sobol(len(self.factors), seed=SEED).random(_OTHERS)
-        points = np.repeat(others[None], len(shares), axis=0)
+        points = np.repeat(_sobol(len(self.factors), _OTHERS)[None], len(shares), axis=0)
         points[:, :, i] = shares[:, None]
         values = self.at(name, points.reshape(-1, len(self.factors)))
         return self.factors[i].at(shares), values.reshape(len(shares), -1).mean(axis=1)
+
+    def sobol_indices(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return first-order and total Sobol' indices, (factors,), of a response that is a number.
+
+        Keys vary evenly, or their logarithms where they go by them, and independently of each
+        other, whatever the design was (estimators: A. Saltelli et al., Computer Physics
+        Communications 181 (2010) 259; M. Jansen, ibid. 117 (1999) 35).
+        """
+        count = len(self.factors)
+        one, other = np.split(_sobol(2 * count, _DRAWS), 2, axis=1)
+        mixed = np.where(np.eye(count, dtype=bool)[:, None], other, one)
+        of_one, of_other = self.at(name, one), self.at(name, other)
+        change = self.at(name, mixed.reshape(-1, count)).reshape(count, -1) - of_one
+        variance = np.var(np.concatenate([of_one, of_other]))
+        first = np.mean((of_other - of_other.mean()) * change, axis=1) / variance
+        return first, 0.5 * np.mean(change**2, axis=1) / variance
 
     def __repr__(self) -> str:
         shares = (f"{n} {share_words(e)}" for n, e in self.relative_error.items() if e)
@@ -272,29 +282,21 @@ class Surrogate:
         )
 
 
+def _points(factors: Sequence[Factor], columns: Sequence[Any]) -> FloatArray:
+    """Return points from the values of each factor."""
+    return np.hstack([f.coordinates(c) for f, c in zip(factors, columns, strict=True)])
+
+
+def _sobol(keys: int, count: int) -> FloatArray:
+    from scipy.stats import qmc  # slow to import
+
+    points: FloatArray = qmc.Sobol(keys, seed=SEED).random(count)
+    return points
+
+
 def share_words(relative_error: float) -> str:
     """Return an error in percent of the spread."""
     return f"{100.0 * relative_error:.2g} %"
-
-
-def sobol_indices(made: Surrogate, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return the first-order and total Sobol' indices, (factors,), of a response that is a number.
-
-    Keys vary evenly, or their logarithms where they go by them, and independently of each other,
-    whatever the design was (estimators: A. Saltelli et al., Computer Physics Communications 181
-    (2010) 259; M. Jansen, ibid. 117 (1999) 35).
-    """
-    from scipy.stats import qmc  # slow to import
-
-    count = len(made.factors)
-    one, other = np.split(qmc.Sobol(2 * count, seed=SEED).random(_DRAWS), 2, axis=1)
-    mixed = np.where(np.eye(count, dtype=bool)[:, None], other, one)
-    of_one, of_other = made.at(name, one), made.at(name, other)
-    change = made.at(name, mixed.reshape(-1, count)).reshape(count, -1) - of_one
-    variance = np.var(np.concatenate([of_one, of_other]))
-    first = np.mean((of_other - of_other.mean()) * change, axis=1) / variance
-    total = 0.5 * np.mean(change**2, axis=1) / variance
-    return first, total
 
 
 def surrogate(
@@ -329,14 +331,14 @@ def surrogate(
         )
     ensemble = folder if isinstance(folder, Ensemble) else read_ensemble(Path(folder))
     factors, points, cases = _cases(ensemble)
+    numbers = points[:, : sum(not factor.texts for factor in factors)]
+    columns = [np.arange(len(cases), dtype=float)]  # whose values are single cases
+    columns += [c for c in np.round(numbers, _DIGITS).T if 2 < len(np.unique(c)) <= 0.5 * len(c)]
     final = ensemble.final
     if responses is None:
         finite = (n for n, v in final.items() if np.isfinite(v[cases]).all())
         responses = [name for name in finite if end_value_of(name)[0].smooth]
     arrays = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
-    numbers = points[:, : sum(not factor.texts for factor in factors)]
-    columns = [np.arange(len(cases), dtype=float)]  # whose values are single cases
-    columns += [c for c in np.round(numbers, _DIGITS).T if 2 < len(np.unique(c)) <= 0.5 * len(c)]
     fitted = {}
     for name, values in arrays.items():
         array = np.asarray(values, dtype=float)
@@ -345,25 +347,18 @@ def surrogate(
                 f"surrogate: {legible(str(name))}: must be the name of a final value, or an array "
                 f"({len(ensemble.ids)}, ...), finite in all cases that are done"
             )
-        fitted[name] = fit_response(name, array[cases], points, columns)
+        fitted[name] = _fitted(name, array[cases], points, columns)
     made = Surrogate(factors, points, fitted)
     if max(made.relative_error.values(), default=0.0) > GOOD:
         log.warning("more cases would make errors smaller: %r", made)
     return made
 
 
-def chosen_cases(cases: IntArray, most: int) -> IntArray:
-    """Return the cases, or so many of them chosen at random, increasing."""
-    if len(cases) <= most:
-        return cases
-    return np.sort(np.random.default_rng(SEED).choice(cases, most, replace=False))
-
-
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:
     """Return what varies, numbers first, the points of the cases to be interpolated, the cases."""
-    cases = chosen_cases(np.flatnonzero(done_cases(ensemble)), _MOST)
-    every = [Factor.of(ensemble, name, cases) for name in ensemble.varied] if len(cases) else []
-    factors = sorted((f for f in every if f.differs), key=lambda factor: bool(factor.texts))
+    cases = chosen_cases(np.flatnonzero(ensemble.done), _MOST)
+    differing = [f for f in factors_of(ensemble, cases) if f.differs] if len(cases) else []
+    factors = sorted(differing, key=lambda factor: bool(factor.texts))
     needed = 4 * (1 + sum(max(1, len(factor.texts)) for factor in factors))
     points = np.hstack([np.empty((len(cases), 0)), *(f.coordinates(f.values) for f in factors)])
     first = np.sort(np.unique(np.round(points, _DIGITS), axis=0, return_index=True)[1])

@@ -6,13 +6,11 @@ and ``cases.csv``. Killed, stopped or started several times at once, the same co
 """
 
 import fcntl
-import logging
 import shutil
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Hashable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,26 +19,16 @@ from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
-from ringwear_par.files.folders import refuse_others
-from ringwear_par.files.writing import check_writable, unwritable
+from ringwear_par.files.folders import check_folder
 from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
-from ringwear_par.results.hdf5 import UnreadableError, reading
+from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
-from ringwear_par.studies.block_files import DamagedError, has_failed, write_block
-from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, compute, free_blocks, there
-from ringwear_par.studies.ensemble import (
-    FILE_KIND,
-    RESULTS,
-    SOFTWARE,
-    TABLE,
-    count_flags,
-    split_flags,
-)
-from ringwear_par.studies.results_file import is_merged, merge
+from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
+from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
+from ringwear_par.studies.results_file import arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
+from ringwear_par.studies.together import computed_with_pairs
 from ringwear_par.version import __version__
-
-log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
 
@@ -63,7 +51,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Work:
-    """What the ranks of a sweep have in common, and how far this one is."""
+    """What the ranks of a sweep have in common."""
 
     study: Study
     blocks: Sequence[Block]
@@ -71,8 +59,18 @@ class _Work:
     comm: MPI.Intracomm
     #: ranks that share each case
     ranks_per_case: int
-    #: blocks that were there before
-    before: int
+
+    def goes_on(self) -> str:
+        """Return the words for a sweep that ends before all is there."""
+        count = f"{there(self.blocks)} of {len(self.blocks)}"
+        return f"{count} blocks are there, and the same command goes on"
+
+    def incomplete(self, error: RingwearError) -> RingwearError:
+        """Return the error of a sweep that ends too soon, the same on all ranks."""
+        if not isinstance(error, InputError):
+            error = ComputationError(f"{error}; {self.goes_on()}")
+        error.ranks = self.comm.size
+        return error
 
 
 def sweep(
@@ -110,7 +108,8 @@ def sweep(
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    return _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
+    work = _prepared(study, Path(folder), comm, ranks_per_case, retry_failed)
+    return _without_failures(work, _complete(work))
 
 
 def run_sweep(
@@ -126,8 +125,9 @@ def run_sweep(
     work = _prepared(study, folder, comm, ranks_per_case, retry_failed)
     if dry_run:
         print(_estimate(work))
-    else:
-        _complete(work, print)
+        return
+    print(summary := _complete(work))
+    _without_failures(work, summary)
 
 
 # -- before any work -------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def _prepared(
 ) -> _Work:
     """Read the study and make the folder, or refuse them. Collective on comm."""
 
-    def read() -> tuple[Study, list[Block], int]:
+    def read() -> tuple[Study, list[Block]]:
         if ranks_per_case < 1 or comm.size % ranks_per_case:
             sizes = ", ".join(str(d) for d in range(1, comm.size + 1) if comm.size % d == 0)
             raise InputError(
@@ -149,68 +149,66 @@ def _prepared(
         blocks = blocks_of(study, folder)
         _prepare_folder(folder, blocks, retry)
         warn_of_threads(comm.size)
-        return study, blocks, there(blocks)
+        return study, blocks
 
-    study, blocks, before = on_first_rank(comm, read)
-    return _Work(study, blocks, folder, comm, ranks_per_case, before)
+    return _Work(*on_first_rank(comm, read), folder, comm, ranks_per_case)
 
 
 def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
     """Make the folder, or look that it is of this study; remove what is to be computed again."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; must be a folder, or a new name")
-    refuse_others(folder, "sweep")
-    merged, paths = is_merged(folder, blocks), {block.path for block in blocks}
-    results = folder / RESULTS
+    results, merged = folder / RESULTS, is_merged(folder, blocks)
+    if not merged:
+        check_folder(folder, (RESULTS, TABLE), "sweep")
     stored = [results] if results.exists() else [*(folder / FOLDER).glob("*.h5")]
-    if stored and not merged and not paths & set(stored):
+    if stored and not merged and not {block.path for block in blocks} & {*stored}:
         must = "; must be removed, or a new folder"
         with reading(stored[0], SOFTWARE, FILE_KIND, must) as file:
             version = str(file.attrs["version"])
         same = version == __version__
         whose = "another study" if same else f"version {version} of ringwear-par"
         raise InputError(f"{folder}: holds cases of {whose}; must be a new folder")
-    if retry:
-        for path in filter(has_failed, paths):
-            path.unlink()
-            results.unlink(missing_ok=True)
-    if is_merged(folder, blocks):
-        return
-    try:
+    for path in (block.path for block in blocks if retry and _has_failed(block)):
+        path.unlink()
+        results.unlink(missing_ok=True)
+        merged = False
+    if not merged:
         (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder, error) from error
-    check_writable(results)
+
+
+def _has_failed(block: Block) -> bool:
+    """Tell whether a block is there, and some of its cases have failed. On one rank."""
+    with suppress(InputError), reading(block.path, SOFTWARE, FILE_KIND) as file:
+        return bool(file.attrs["failed"])
+    return False
 
 
 # -- work ------------------------------------------------------------------------------------------
 
 
-def _complete(work: _Work, say: Callable[[Summary], None] = lambda _: None) -> Summary:
-    """Compute the blocks that are not there, merge them, and say how many failed.
-
-    Collective on work.comm.
+def _complete(work: _Work) -> Summary:
+    """Compute the blocks that are not there, and merge them. Collective on work.comm.
 
     Raises
     ------
-    ComputationError : cases failed, or the disk.
+    InputError, ComputationError : a damaged block, the disk.
     """
     comm, started, computed = work.comm, time.perf_counter(), 0
     try:
-        while True:
-            if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
-                computed += comm.allreduce(_compute(work))
-            if on_first_rank(comm, lambda: _merge(work)):
-                break
+        if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
+            computed = comm.allreduce(_compute(work))
+            on_first_rank(comm, lambda: _merge(work))
     except KeyboardInterrupt as signal:
-        raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {_goes_on(work)}") from None
+        raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {work.goes_on()}") from None
     seconds = time.perf_counter() - started
-    summary = on_first_rank(comm, lambda: _summary(work, computed, seconds))
-    say(summary)
+    return on_first_rank(comm, lambda: _summary(work, computed, seconds))
+
+
+def _without_failures(work: _Work, summary: Summary) -> Summary:
+    """Return the summary of a sweep; ComputationError if cases failed."""
     if summary.failed:
         counts = f"{summary.failed} of {summary.total} cases failed"
         error = ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
-        error.ranks = comm.size
+        error.ranks = work.comm.size
         raise error
     return summary
 
@@ -220,75 +218,77 @@ def _compute(work: _Work, most: float = np.inf) -> int:
 
     Return how many cases, 0 on all ranks of a team but its first. Collective on work.comm.
     """
-    comm, ranks = work.comm, work.ranks_per_case
+    comm, blocks, ranks = work.comm, work.blocks, work.ranks_per_case
     team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
-    progress = Progress(len(work.blocks), work.before) if comm.rank == 0 else None
     pairs: dict[Hashable, ContactPair] = {}
     error: RingwearError | None = None
-    computed, started = 0, time.perf_counter()
+    computed, before, started = 0, there(blocks), time.perf_counter()
+    progress = Progress(len(blocks), before) if comm.rank == 0 else None
     try:
-        with closing(free_blocks(work.blocks, share, shares)) as free:
+        with closing(free_blocks(blocks, share, shares)) as free:
             while most > 0 and (block := on_first_rank(team, lambda: next(free, None))) is not None:
-                arrays = compute(work.study, block, pairs, team)
-                on_first_rank(team, partial(write_block, block.path, arrays))
-                computed, most = computed + len(block.numbers), most - 1
+                _compute_block(work.study, block, pairs, team)
+                computed, most = computed + len(block.numbers) * (team.rank == 0), most - 1
                 if progress is not None and progress.is_due():
-                    done, count = there(work.blocks), len(work.blocks)
-                    pace = (time.perf_counter() - started) / max(done - work.before, 1)
+                    done, count = there(blocks), len(blocks)
+                    pace = (time.perf_counter() - started) / max(done - before, 1)
                     left = duration((count - done) * pace)
                     progress.show(done, "%d of %d blocks are there, %s left", done, count, left)
     except RingwearError as failure:  # of the disk: others go on as long as they can
         error = failure
     finally:
-        first = team.rank == 0
         team.Free()
         if progress is not None:
             progress.close()
     errors = [failure for failure in comm.allgather(error) if failure is not None]
     if errors:
-        raise _incomplete(work, errors[0])
-    return computed if first else 0
+        raise work.incomplete(errors[0])
+    return computed
 
 
-def _goes_on(work: _Work) -> str:
-    """Return the words for a sweep that ends before all is there."""
-    count = f"{there(work.blocks)} of {len(work.blocks)}"
-    return f"{count} blocks are there, and the same command goes on"
+def _compute_block(
+    study: Study, block: Block, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
+) -> None:
+    """Compute a block's cases and store them, failed ones with their reasons. Collective on comm.
+
+    Parameters
+    ----------
+    pairs : contact pairs of earlier blocks; those of this one are added.
+    """
+    cases = study.cases_of(block.numbers)
+    parts, errors = computed_with_pairs(cases, pairs, comm)
+    histories = [(np.array(part.numbers), part.columns) for part in parts]
+
+    def store() -> None:
+        about = {"case": study.ids(block.numbers), "number": block.numbers}
+        write_block(block, about | arrays_of(cases, histories, errors))
+
+    on_first_rank(comm, store)
 
 
-def _incomplete(work: _Work, error: RingwearError) -> RingwearError:
-    """Return the error of a sweep that ends too soon, the same on all ranks."""
-    if not isinstance(error, InputError):
-        error = ComputationError(f"{error}; {_goes_on(work)}")
-    error.ranks = work.comm.size
-    return error
-
-
-def _merge(work: _Work) -> bool:
-    """Merge all blocks; False where one was damaged and is to be computed anew. On rank 0."""
+def _merge(work: _Work) -> None:
+    """Merge all blocks, unless another process has. On rank 0."""
     blocks, folder = work.blocks, work.folder / FOLDER
-    with ExitStack() as locks:
-        with suppress(OSError):  # another process has merged them, or there are no locks
-            lock = locks.enter_context((folder / "merge.lock").open("w"))
+    try:
+        lock = (folder / "merge.lock").open("w")
+    except FileNotFoundError:  # another process has merged them
+        return
+    with lock:
+        with suppress(OSError):  # there are no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         if is_merged(work.folder, blocks):
-            return True
+            return
         if there(blocks) < len(blocks):
-            raise ComputationError(f"others may be at work on the rest; {_goes_on(work)}")
+            raise ComputationError(f"others may be at work on the rest; {work.goes_on()}")
         try:
             merge(work.study, blocks, work.folder, work.comm.size)
-        except DamagedError as error:
-            log.warning("%s: it is computed anew", error)
-            error.path.unlink(missing_ok=True)
-            return False
-        except (OSError, ComputationError, UnreadableError) as error:
-            raise _incomplete(work, as_ours(error)) from error
-        if not any(has_failed(block.path) for block in blocks):  # --retry-failed needs these
+        except (OSError, ComputationError) as error:
+            raise work.incomplete(as_ours(error)) from error
+        if not any(map(_has_failed, blocks)):  # --retry-failed needs these
             done = folder.with_name(f".{FOLDER}")
             shutil.rmtree(done, ignore_errors=True)
             folder.rename(done)  # in one step, for processes that still look
             shutil.rmtree(done, ignore_errors=True)
-    return True
 
 
 # -- what is said ----------------------------------------------------------------------------------
@@ -297,7 +297,7 @@ def _merge(work: _Work) -> bool:
 def _summary(work: _Work, computed: int, seconds: float) -> Summary:
     """Return what the results say of their cases. On one rank."""
     with reading(work.folder / RESULTS, SOFTWARE, FILE_KIND) as file:
-        status, flags = file["status"][:], file["flags"][:]
+        status, flags = file["status"][:], file["flags"].asstr()[:]
         worst = float(np.nanmax(file["imbalance"][:], initial=0.0))
     total, failed = len(status), int((status == b"failed").sum())
     lines = [f"cases: {total}, {total - failed} done, {failed} failed"]
@@ -305,10 +305,8 @@ def _summary(work: _Work, computed: int, seconds: float) -> Summary:
         rate = f"{computed / seconds:.3g} a second"
         lines.append(f"{computed} computed in {duration(seconds)}, {rate}; ranks: {work.comm.size}")
     lines.append(f"largest error of balances (force, energy, contact): {worst:.1e}")
-    words, counts = np.unique(flags[flags != b""], return_counts=True)
-    if len(words):
-        flagged = zip((split_flags(word.decode()) for word in words), counts.tolist(), strict=True)
-        lines.append(count_flags(dict(flagged)))
+    if any(flags):
+        lines.append(count_flags(flags))
     lines.append(f"{work.folder / TABLE}, {work.folder / RESULTS}")
     return Summary(total, total - failed, failed, computed, "\n".join(lines))
 
@@ -318,16 +316,16 @@ def _estimate(work: _Work) -> str:
 
     Collective on work.comm.
     """
-    comm, blocks, teams = work.comm, work.blocks, work.comm.size // work.ranks_per_case
+    comm, blocks, started = work.comm, work.blocks, time.perf_counter()
+    merged = on_first_rank(comm, lambda: is_merged(work.folder, blocks))
+    before = on_first_rank(comm, lambda: len(blocks) if merged else there(blocks))
     cases, count = counted(len(work.study), "case"), counted(len(blocks), "block")
-    text, started = f"{cases} in {count}, {work.before} there already", time.perf_counter()
-    if on_first_rank(comm, lambda: is_merged(work.folder, blocks)):
-        return text
-    done = comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
+    text = f"{cases} in {count}, {before} there already"
+    done = 0 if merged else comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
     if not done:
         return text
-    seconds, left = time.perf_counter() - started, len(blocks) - work.before - 1
-    others = duration(float(f"{seconds * -(-left // teams):.2g}"))
+    seconds, left = time.perf_counter() - started, len(blocks) - before - 1
+    others = duration(float(f"{seconds * -(-left * work.ranks_per_case // comm.size):.2g}"))
     return (
         f"{text}\none block of {done} cases took {duration(seconds)}; it stays in "
         f"{work.folder / FOLDER}\nthe other {counted(left, 'block')} on "

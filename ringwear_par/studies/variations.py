@@ -1,23 +1,33 @@
-"""Varied keys: the names of keys of a case and of their entries, and the values they get."""
+"""Study files: the keys that vary, how they are named, and the designs that draw their values."""
 
+import csv
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence, Set
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.key_values import unknown_key
-from ringwear_par.cases.files.keys import override
+from ringwear_par.cases.files.keys import base_keys, in_full, kinds, override, source_tables
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
-from ringwear_par.cases.tables import Key
-from ringwear_par.cases.values import RejectedError, is_finite, is_number
-from ringwear_par.errors import Fault, legible
-from ringwear_par.files.text import shortened, toml_value
+from ringwear_par.cases.tables import Key, TableReader, keys_of_table
+from ringwear_par.cases.values import (
+    RejectedError,
+    anything,
+    is_finite,
+    one_of,
+    text,
+    whole,
+)
+from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.files.text import parse_value, read_text, shortened, toml_value
 
 #: most cases of a design
 MOST_CASES = 10**6
@@ -30,66 +40,62 @@ _RULE = (
 _PAIR = re.compile(r"(.+)\[([01])\]")
 _TABLE = re.compile(r"(wear\.(?:lower|upper)\.parameters|(?:lower|upper)\.profile)\.(.+)")
 
+METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
+_RANGE = anything("two increasing numbers, > 0 for log")
 
-@dataclass(frozen=True, eq=False)
-class Column:
-    """The raw values of a varied key in all cases."""
+#: the keys of a study: one list that reading, messages and ``info --schema study`` follow
+KEYS: tuple[Key, ...] = (
+    Key("case", *text("the name of a case file, relative to this one; in Python a dict too"), "-",
+        "base case, whose keys [vary] changes"),
+    Key("vary.KEY.values", *anything("a list of values"), "KEY's",
+        "list of values of a case key, or of an entry of a key, such as upper.r[1], "
+        "upper.profile.crown, lower.layers[0].wear.k; each key has values, linear or log", None),
+    Key("vary.KEY.linear", *_RANGE, "KEY's",
+        "range [low, high], in equal steps (grid) or sampled uniformly", None),
+    Key("vary.KEY.log", *_RANGE, "KEY's",
+        "range [low, high], in equal ratios (grid) or sampled uniformly in the logarithm", None),
+    Key("vary.KEY.count", *whole(2, MOST_CASES), "-",
+        "number of values of a linear or log range (method = grid)", None),
+    Key("design.method", *one_of(*METHODS), "-",
+        "grid: all combinations; sobol, latin-hypercube, random: count samples; list: the rows of "
+        "file, without [vary]", "grid"),
+    Key("design.count", *whole(1, MOST_CASES), "-",
+        "number of cases (method = sobol, latin-hypercube or random)", None),
+    Key("design.seed", *whole(0, 10**18), "-",
+        "seed of the random samples: the same seed gives the same cases", 0),
+    Key("design.file", *text("the name of a CSV file, relative to this one"), "-",
+        "table of cases: a line of case keys, then one line a case (method = list)", None),
+)  # fmt: skip
+DESIGN = keys_of_table(KEYS, "design")
 
-    #: the distinct ones, float64 where all are floats, else of objects
-    values: NDArray[Any]
-    #: (cases,) which of the values each case has
-    codes: NDArray[np.int32]
 
-    @classmethod
-    def of(cls, values: Sequence[Any] | FloatArray) -> "Column":
-        """Return the column of one value for each case; values of the same text are one."""
-        if isinstance(values, np.ndarray) or all(type(value) is float for value in values):
-            distinct, codes = np.unique(np.asarray(values, dtype=float), return_inverse=True)
-            return cls(distinct, codes.astype(np.int32))
-        known: dict[str, tuple[int, Any]] = {}
-        codes = [known.setdefault(toml_value(value), (len(known), value))[0] for value in values]
-        return cls.chosen([value for _, value in known.values()], np.array(codes))
+# -- columns: the values of a key in all cases -----------------------------------------------------
 
-    @classmethod
-    def chosen(cls, values: Sequence[Any], codes: NDArray[Any]) -> "Column":
-        """Return the column of some values, by number."""
-        array = np.empty(len(values), dtype=object)
-        array[:] = values
-        return cls(array, codes.astype(np.int32))
 
-    def __len__(self) -> int:
-        return len(self.codes)
+def column_of(values: Sequence[Any]) -> NDArray[Any]:
+    """Return raw values, (cases,): float64 where all are floats, else objects."""
+    if all(type(value) is float for value in values):
+        return np.array(values, dtype=float)
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return column
 
-    def __getitem__(self, case: int) -> Any:
-        value = self.values[self.codes[case]]
-        return value.item() if isinstance(value, np.generic) else value
 
-    def part(self, cases: slice | IntArray) -> "Column":
-        """Return the column of some of the cases."""
-        return Column(self.values, self.codes[cases])
+def mapped(column: NDArray[Any], function: Callable[[Any], Any]) -> list[Any]:
+    """Return a function of the value of each case, called once for each object."""
+    values = column.tolist()
+    if column.dtype != object:
+        return list(map(function, values))
+    objects = {id(value): value for value in values}
+    known = {key: function(value) for key, value in objects.items()}
+    return [known[id(value)] for value in values]
 
-    def mapped(self, function: Callable[[Any], Any]) -> "Column":
-        """Return the column of a function of each value."""
-        return Column.chosen(list(map(function, self.distinct)), self.codes)
 
-    def by_case(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
-        """Return the value of each case, or a function of it."""
-        used, codes = np.unique(self.codes, return_inverse=True)
-        values = self.values[used].tolist()
-        values = values if function is None else list(map(function, values))
-        return [values[code] for code in codes.tolist()]
-
-    @property
-    def distinct(self) -> list[Any]:
-        """The distinct values."""
-        return self.values.tolist()
-
-    @cached_property
-    def numbers(self) -> FloatArray | None:
-        """(cases,) the values, where all are numbers."""
-        if self.values.dtype == object and not all(map(is_number, self.values)):
-            return None
-        return self.values.astype(np.float64)[self.codes]
+def cell(value: Any) -> str:
+    """Return the text of a value in tables."""
+    if isinstance(value, str):
+        return value
+    return "" if value is None else toml_value(value)
 
 
 # -- names of keys and their entries ---------------------------------------------------------------
@@ -106,11 +112,6 @@ def split_key(name: str) -> tuple[str, int | str | None]:
         return match[1], int(match[2])
     match = _TABLE.fullmatch(name)
     return (match[1], match[2]) if match else (name, None)
-
-
-def whole_name(path: str, entry: str) -> str:
-    """Return the name of an entry of a table or of layers, as ``split_key`` takes it."""
-    return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
 
 
 def path_of(name: str) -> str:
@@ -133,14 +134,14 @@ def without_units(name: str, value: Any) -> Any:
 def name_fault(place: str, name: str, loc: str) -> Fault | None:
     """Return why a key cannot vary, None where it can."""
     path, index = split_key(name)
-    if (key_of(name) or BY_PATH.get(path)) is None or (path in LAYERS and key_of(name) is None):
+    key = key_of(name) or (None if path in LAYERS else BY_PATH.get(path))
+    if key is None:
         reason = unknown_key(name if path in LAYERS else path)
         return Fault(f"{place}: {reason}", loc, "unknown_key")
     if name == "title":
         sentence = f"{place}: a title makes no other case; must be another key"
         return Fault(sentence, loc, "not_allowed")
-    file = index in ("file", "trace") and path.endswith(".profile")
-    if file or (isinstance(index, int) and BY_PATH[path].kind != "pair"):
+    if index in ("file", "trace") or (isinstance(index, int) and key.kind != "pair"):
         sentence = f"{place}: {path} has no such entries; must be the key itself"
         return Fault(sentence, loc, "unknown_key")
     return None
@@ -159,20 +160,19 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
 
 
 def varied_keys(
-    base: Mapping[str, Any], parts: Sequence[tuple[str, int | str | None]], row: Sequence[Any]
+    base: Mapping[str, Any], names: Iterable[str], row: Iterable[Any]
 ) -> dict[str, Any]:
-    """Return the dotted keys of a case: those of the base, with a row of values at its parts."""
+    """Return the dotted keys of a case: those of the base, with a row of values of varied keys."""
     changed: dict[str, Any] = {}
-    for (path, index), value in zip(parts, row, strict=True):
-        if index is None:
-            changed[path] = value
-        elif isinstance(index, str):
-            changed[whole_name(path, index)] = value
-        else:
+    for name, value in zip(names, row, strict=True):
+        path, index = split_key(name)
+        if isinstance(index, int):
             before = changed.get(path, base.get(path))
             pair = list(before) if isinstance(before, list) and len(before) == 2 else [None, None]
             pair[index] = value
             changed[path] = pair
+        else:
+            changed[name] = value
     return override(base, changed)
 
 
@@ -192,7 +192,7 @@ def unnested(table: Mapping[str, Any], names: Set[str]) -> dict[str, Any]:
     return flat
 
 
-# -- the table [vary] ------------------------------------------------------------------------------
+# -- the table [vary]: values of a key, or its range ----------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -208,31 +208,30 @@ class Variation:
     #: number of values of a range in a grid
     count: int = 0
 
-    def grid(self) -> list[Any]:
+    def grid(self) -> NDArray[Any]:
         """Return the values of a grid."""
         if self.spacing == "values":
-            return list(self.values)
+            return column_of(self.values)
         space: Any = np.geomspace if self.spacing == "log" else np.linspace
-        return self._whole(space(*self.values, self.count)).tolist()
+        return self._whole(space(*self.values, self.count))
 
-    def at(self, shares: FloatArray) -> Column:
+    def at(self, shares: FloatArray) -> NDArray[Any]:
         """Return the values at shares from 0 to 1 of the range or the list, (cases,)."""
         if self.spacing == "values":
-            return Column.chosen(self.values, (shares * len(self.values)).astype(np.int64))
+            return column_of(self.values)[(shares * len(self.values)).astype(int)]
         low, high = self.values
         log = self.spacing == "log"
-        values = low * (high / low) ** shares if log else low + (high - low) * shares
-        return Column.of(self._whole(values).tolist())
+        return self._whole(low * (high / low) ** shares if log else low + (high - low) * shares)
 
     def _whole(self, values: FloatArray) -> NDArray[Any]:
         """Return whole numbers where only these will do."""
         path, index = split_key(self.name)
         whole = index is None and BY_PATH[path].kind == "whole"
-        return np.rint(values).astype(np.int64) if whole else values
+        return column_of(np.rint(values).astype(int).tolist()) if whole else values
 
 
 def read_variations(
-    name: str, vary: Mapping[str, Any], method: str, faults: list[str]
+    name: str, vary: Mapping[str, Any], method: str, folder: Path, faults: list[str]
 ) -> list[Variation]:
     """Return the varied keys of a study, and add their faults."""
     entries = unnested(vary, {"values", "linear", "log", "count"})
@@ -249,7 +248,7 @@ def read_variations(
             faults.append(fault)
             continue
         try:
-            variations.append(_variation(key, entry, method))
+            variations.append(_variation(key, entry, method, folder))
         except RejectedError as reason:
             because = f" ({reason})" if str(reason) else ""
             sentence = f"{place} = {shortened(entry)}: {_RULE}{because}"
@@ -257,7 +256,7 @@ def read_variations(
     return variations
 
 
-def _variation(key: str, entry: Any, method: str) -> Variation:
+def _variation(key: str, entry: Any, method: str, folder: Path) -> Variation:
     """Return a varied key; RejectedError where its entry breaks the rule, perhaps with why."""
     table = dict(entry) if isinstance(entry, Mapping) else {}
     count = table.pop("count", None)
@@ -268,10 +267,135 @@ def _variation(key: str, entry: Any, method: str) -> Variation:
     if not (is_whole(count) and 2 <= count <= MOST_CASES if in_grid else count is None):
         raise RejectedError
     if spacing == "values":
-        return Variation(key, spacing, tuple(values))
+        return Variation(key, spacing, tuple(_in_full(key, folder, value) for value in values))
     ends = [without_units(key, value) for value in values]
     if len(ends) != 2 or not all(map(is_finite, ends)) or not ends[0] < ends[1]:
         raise RejectedError
     if spacing == "log" and ends[0] <= 0:
         raise RejectedError
     return Variation(key, spacing, tuple(map(float, ends)), count or 0)
+
+
+def _in_full(name: str, folder: Path, value: Any) -> Any:
+    """Return a raw value, names of files in it in full: they are relative to the study."""
+    (complete,) = in_full({_PAIR.sub(r"\1", name): value}, folder).values()
+    return complete
+
+
+# -- designs ---------------------------------------------------------------------------------------
+
+
+def read_draft(source: Path | str | Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a ``Study``; refuse all faults but those of single cases."""
+    name, folder, tables, text = source_tables(source, "study")
+    if kinds(tables) == {"case"}:
+        raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
+    no = "unknown key; must be one of case, vary, design"
+    faults: list[str] = [
+        Fault(f"{name}: {legible(key)}: {no}", key, "unknown_key")
+        for key in tables.keys() - {"case", "vary", "design"}
+    ]
+    base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
+    vary, design = tables.get("vary", {}), tables.get("design", {})
+    for key, table in (("vary", vary), ("design", design)):
+        if not isinstance(table, dict):
+            sentence = f"{name}: {key} = {shortened(table)}: must be a table, [{key}]"
+            raise InputError(*faults, Fault(sentence, key, "not_allowed"))
+    design = _read_design(name, design, faults)
+    variations = read_variations(name, vary, design["method"], folder, faults)
+    if faults:
+        raise InputError(*faults)
+    if design["method"] == "list":
+        columns = _listed(folder, design["file"])
+    else:
+        columns = _drawn(name, variations, **design)
+    _refuse_columns(name, columns, base)
+    ranges = {v.name: (v.spacing, *v.values) for v in variations if v.spacing != "values"}
+    return {
+        "name": name, "text": text, "method": design["method"], "base": base, "columns": columns,
+        "ranges": ranges,
+    }  # fmt: skip
+
+
+def _refuse_columns(
+    name: str, columns: Mapping[str, NDArray[Any]], base: Mapping[str, Any]
+) -> None:
+    """Refuse what a sweep does not store, or must store alike of all cases."""
+    boundary = columns.get("output.boundary", [base.get("output.boundary", "none")])
+    if unknown := [value for value in boundary if value != "none"]:
+        sentence = (
+            f"{name}: output.boundary = {shortened(unknown[0])}: must be none in a study, if need "
+            'be by "output.boundary" = { values = ["none"] } in [vary]; ringwear run stores it'
+        )
+        raise InputError(Fault(sentence, "output.boundary", "conflict"))
+    for key, column in columns.items():
+        differ = key == "output.profiles" and len(set(map(str, column))) > 1
+        if differ or key.startswith("stress."):
+            sentence = f"{name}: {key}: must not vary; must be the same in all cases"
+            raise InputError(Fault(sentence, key, "not_allowed"))
+
+
+def _read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:
+    """Return the values of the table [design], and add its faults; refuse a wrong method."""
+    before, reader = len(faults), TableReader(f"{name}: [design]", table, faults, DESIGN)
+    method = reader.read("method")
+    if len(faults) > before:
+        raise InputError(*faults)
+    needed = {"grid": (), "list": ("file",)}.get(method, ("count",))
+    design = {"method": method, **{key: reader.read(key) for key in needed}}
+    for key in needed:
+        if key not in reader:
+            reader.wrong(key, DESIGN[key].rule)
+    if "count" in needed:
+        design["seed"] = reader.read("seed")
+    reader.finish(f'unknown key of method = "{method}"')
+    return design
+
+
+def _drawn(
+    name: str, variations: Sequence[Variation], method: str, count: int = 0, seed: int = 0
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of a grid, whose last key varies fastest, or of a sampled design."""
+    if method == "grid":
+        values = [variation.grid() for variation in variations]
+        sizes = [len(each) for each in values]
+        if (total := math.prod(sizes)) > MOST_CASES:
+            raise InputError(f"{name}: the grid has {total} cases; must be at most {MOST_CASES}")
+        places = np.unravel_index(np.arange(total), sizes)
+        return {v.name: of[at] for v, of, at in zip(variations, values, places, strict=True)}
+    shape = count, len(variations)
+    if method == "random":
+        points = np.random.default_rng(seed).random(shape)
+    else:
+        from scipy.stats import qmc  # slow to import
+
+        sampler = qmc.Sobol if method == "sobol" else qmc.LatinHypercube
+        with warnings.catch_warnings():  # of numbers of points that are no powers of two
+            warnings.simplefilter("ignore", UserWarning)
+            points = sampler(len(variations), seed=seed).random(count)
+    return {v.name: v.at(shares) for v, shares in zip(variations, points.T, strict=True)}
+
+
+def _listed(folder: Path, file: str) -> dict[str, NDArray[Any]]:
+    """Return the columns of a CSV file: a line of case keys, and one line for each case."""
+    table = folder / file
+    lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
+    names = [word.strip() for word in lines[0]] if lines else []
+    faults: list[str] = [
+        f"{table}: line {number}: has {len(line)} values; must have {len(names)}, as the first line"
+        for number, line in enumerate(lines[1:], start=2)
+        if len(line) != len(names)
+    ]
+    if len(lines) < 2 or len({*names}) < len(names):
+        faults.append(f"{table}: must be a line of case keys, each once, and then one line a case")
+    faults += filter(None, (name_fault(f"{table}: column {legible(n)}", n, n) for n in names))
+    if faults:
+        raise InputError(*faults)
+    columns = {}
+    for name, words in zip(names, zip(*lines[1:], strict=True), strict=True):
+        try:
+            columns[name] = np.array(words, dtype=float)
+        except ValueError:  # anything that TOML knows, and texts
+            known = {word: _in_full(name, folder, parse_value(word.strip())) for word in {*words}}
+            columns[name] = column_of([known[word] for word in words])
+    return columns

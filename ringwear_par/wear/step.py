@@ -88,7 +88,7 @@ class StepWear:
         self._fixed = self._lines(np.zeros((1, 1)), None) if self.linear else None
         self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
         #: (w, B, n) mm, depths of laws that remember, from which others near them are found
-        self._near = np.zeros_like(wear)
+        self._near = np.zeros_like(wear) if any(any(b.remember) for b in wearing) else wear
 
     def lines(self, p: FloatArray, rows: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return const (mm) and slope (mm/MPa) of the lines that touch depths at pressures (h, n).

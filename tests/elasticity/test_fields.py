@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray
 from parts import boundary_recovery, run_case
 from paths import CASES, PAPER
 
@@ -43,10 +42,9 @@ def weights(fields):
 def test_equilibrium_and_bodies_that_meet(case, overrides, tmp_path, comm):
     path = tmp_path / "run.h5"
     run_case(CASES / case, path, overrides, comm=comm)
-    problem = rw.read_case(CASES / case, overrides)
     result = rw.open_result(path)
-    line, shape = problem.line, result.checkpoint.first.meshed
-    assert shape is None or shape.max() > 0.005
+    shape = result.checkpoint.first.meshed
+    line = rw.read_case(CASES / case, overrides).line
     assert [b.time for b in result.boundary] == result.histories["time"].tolist()
     for row, state in enumerate(result.boundary):
         force, torque = result.histories["force"][row], result.histories["torque"][row]
@@ -69,6 +67,7 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, tmp_path, comm):
             height.append(body.nodes[middle, 1] + body.displacement[middle, 1])
         gap = height[1] - height[0]
         if shape is not None and row < len(result.boundary) - 1:
+            assert shape.max() > 0.005
             continue  # with other elements
         approach = result.histories["approach"][row]
         if shape is None:
@@ -117,41 +116,17 @@ def test_responses_follow_the_shape(comm):
     assert fixed.displacement == pytest.approx(unworn.displacement, abs=1e-12)
 
 
-def test_opens_in_xarray(tmp_path, comm):
-    path = tmp_path / "run.h5"
-    run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
-    for body in ("lower", "upper"):
-        with xarray.open_dataset(path, group=f"boundary/{body}", engine="h5netcdf") as data:
-            assert data.sizes["boundary_node"] == 2 * data.sizes["boundary_element"]  # closed
-            assert list(data.time.values) == [0.0, 10.0, 50.0, 100.0, 200.0]
-            assert data.nodes.dims == ("boundary_step", "boundary_node", "plane")
-            for name, place in (
-                ("displacement", "boundary_node"),
-                ("traction", "boundary_element"),
-            ):
-                assert data[name].dims == ("boundary_step", place, "direction")
-            assert data.direction.values.tolist() == ["r", "z", "theta"]
-            for name in ("pressure", "wear"):
-                assert data[name].dims == ("boundary_step", "boundary_element")
-            assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.variables.values())
-            assert float(data.wear.max()) > 0 or body == "upper"
-
-
 @pytest.mark.parametrize(
     ("overrides", "times"),
     [
         (["output.boundary=last"], [20]),
         (["output.boundary=[0, 7, 7.5, 19]", "output.every=6"], [0, 12, 20]),
         (["output.boundary=all", "output.every=8"], [0, 8, 16, 20]),
-        (["time={scheme='adaptive', end=20, tolerance=1e-5}", "output.times=[5, 9]",
-          "output.boundary=[4, 10]"], [5, 20]),
+        (["time.end=20", "output.times=[5, 9]", "output.boundary=[4, 10]"], [5, 20]),
     ],
-)  # fmt: skip
+)
 def test_which_states_are_stored(overrides, times, tmp_path, comm):
-    path = tmp_path / "run.h5"
-    case = CASES / ("fields.toml" if "adaptive" in overrides[0] else "paper.toml")
-    if case.name == "fields.toml":
-        overrides = ["time.end=20", *overrides[1:]]
-    run_case(case, path, [*SMALL[:1], *(SMALL[1:2] if case.name == "paper.toml" else []),
-                          *overrides], comm=comm)  # fmt: skip
+    path, adaptive = tmp_path / "run.h5", "time.end=20" in overrides
+    words = SMALL[:1] if adaptive else SMALL[:2]
+    run_case(FIELDS if adaptive else PAPER, path, [*words, *overrides], comm=comm)
     assert [state.time for state in rw.open_result(path).boundary] == times

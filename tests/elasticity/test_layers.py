@@ -6,16 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.bem.body import (
-    body_zones,
-    boundary_responses,
-    compliance,
-)
-from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.bem.pair import assemble_pair
+from ringwear_par.elasticity.bem.body import body_zones, compliance, solve_zones
+from ringwear_par.elasticity.bem.pair import UpdatedGeometry, assemble_pair
 from ringwear_par.elasticity.bem.systems import number_dofs
-from ringwear_par.elasticity.bem.updated import UpdatedGeometry
-from ringwear_par.elasticity.mesh import Mesh, contact_line, pair_slope
+from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
 
 CONTACT = (28.5, 31.5)
@@ -42,7 +36,6 @@ BODIES = [(COATED, CONTACT), (layered(UPPER, (0.3, SOFT)), CONTACT), (DISC, (0.0
 #: soft films far thinner than elements are long
 THIN = [(thickness, Material(young, poisson)) for young, poisson, thickness in
         [(1e3, 0.3, 0.003), (1e2, 0.3, 0.001), (1e1, 0.3, 0.01), (1e1, 0.4999, 0.003)]]  # fmt: skip
-QUANTITIES = ("normal", "torsion", "force_reaction", "torque_reaction")
 
 
 def condensed(body, mesh, comm, contact=CONTACT):
@@ -50,10 +43,10 @@ def condensed(body, mesh, comm, contact=CONTACT):
     return compliance(body, line, mesh, comm)
 
 
-def approach(pair, line, young=(1e4, 1e5)):
-    """Under 50 MPa, all in contact."""
-    matrix = pair.compliance(young).matrix
-    p = np.linalg.solve(matrix, line.area)
+def approach(pair, line, more=0.0):
+    """Under 50 MPa, all in contact; more on the diagonal of the compliance."""
+    normal = pair.normal[0] / 1e4 + pair.normal[1] / 1e5 + more * np.eye(line.n)
+    p = np.linalg.solve(normal, np.ones(line.n))
     return 50.0 * line.area.sum() / float(line.area @ p)
 
 
@@ -73,27 +66,12 @@ def test_as_many_equations_as_unknowns(body, contact):
         assert (own.sign < 0.0).nonzero()[0].tolist() == sorted(zone.boundary.below)
 
 
-@pytest.mark.parametrize(("body", "coarse"), [(COATED, 16), (BODIES[1][0], 16), (CHAMFERED, 32)])
-def test_defects_vanish_with_the_mesh(body, coarse, comm):
-    symmetry, force, torque = [], [], []
-    for n in (coarse, 2 * coarse, 4 * coarse):
-        found, line = condensed(body, Mesh(n), comm), contact_line(CONTACT, Mesh(n), body.section)
-        weighted = line.area[:, None] * found.normal
-        symmetry.append(np.abs(weighted - weighted.T).max() / np.abs(weighted).max())
-        force.append(abs(found.force_reaction.sum() / line.area.sum() - 1.0))
-        torque.append(abs(found.torque_reaction.sum() / (line.area @ line.arm) - 1.0))
-    for defects in (symmetry, force, torque):
-        assert defects[0] > 1.5**2 * defects[2]  # that of force changes its sign between
-    assert symmetry[2] < 2e-3
-    assert max(force[2], torque[2]) < 5e-5
-
-
 @pytest.mark.parametrize(("body", "contact"), BODIES)
 def test_zones_share_their_interfaces_and_balance(body, contact, comm):
     """Displacements are the same, tractions opposite; each zone hands the whole load on."""
     mesh = Mesh(32)
     line = contact_line(contact, mesh, body.section)
-    responses = boundary_responses(body, line, mesh, comm)
+    responses, _ = solve_zones(body_zones(body, line, mesh), mesh.quadrature_tolerance, comm)
     load = np.stack([line.area, line.area * line.arm])
     for upper, lower in itertools.pairwise(responses):
         one = upper.boundary.elements[upper.boundary.below]
@@ -108,9 +86,6 @@ def test_zones_share_their_interfaces_and_balance(body, contact, comm):
         assert force.sum() == pytest.approx(load[0].sum(), rel=1e-3)
         assert torque.sum() == pytest.approx(load[1].sum(), rel=1e-3)
     top, base = responses[0], responses[-1]
-    assert [len(of.boundary.fixed) > 0 for of in responses] == [False] * (len(responses) - 1) + [
-        True
-    ]
     assert not base.displacement[base.boundary.elements[base.boundary.fixed].ravel(), 1:].any()
     middle = top.boundary.elements[top.boundary.contact, 1]
     assert np.array_equal(-top.displacement[middle, 1], condensed(body, mesh, comm, contact).normal)
@@ -134,9 +109,9 @@ def test_thin_soft_films_are_resolved(film, comm):
     line = contact_line(CONTACT, Mesh(64))
     for bodies in ((layered(LOWER, film), UPPER), (LOWER, layered(UPPER, film))):
         pair = assemble_pair(bodies, line, Mesh(64), comm)
-        found = pair.compliance((LOWER.young, UPPER.young))
-        assert np.linalg.eigvalsh(found.matrix).min() > 0.0
-        assert found.symmetry_defect < 0.01
+        weighted = line.area[:, None] * (pair.normal[0] / 1e4 + pair.normal[1] / 1e5)
+        assert np.linalg.eigvalsh(weighted + weighted.T).min() > 0.0
+        assert np.abs(weighted - weighted.T).max() < 0.01 * np.abs(weighted).max()
 
 
 def test_a_very_thin_film_is_a_winkler_foundation(comm):
@@ -144,18 +119,11 @@ def test_a_very_thin_film_is_a_winkler_foundation(comm):
     mesh, poisson, young = Mesh(64), 0.3, 1e2
     line = contact_line(CONTACT, mesh)
     modulus = young * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    bare = assemble_pair((LOWER, UPPER), line, mesh, comm).compliance((1e4, 1e5)).collocated
-
-    def approach_of(compliance):
-        p = np.linalg.solve(compliance, np.ones(line.n))
-        return 50.0 * line.area.sum() / float(line.area @ p)
-
-    off = []
+    bare, off = assemble_pair((LOWER, UPPER), line, mesh, comm), []
     for h in (0.001, 0.002, 0.004):
         body = layered(LOWER, (h, Material(young, poisson)))
         pair = assemble_pair((body, UPPER), line, mesh, comm)
-        winkler = approach_of(bare + h / modulus * np.eye(line.n))
-        off.append(approach_of(pair.compliance((1e4, 1e5)).collocated) / winkler - 1.0)
+        off.append(approach(pair, line) / approach(bare, line, h / modulus) - 1.0)
     # and the rest goes with its thickness
     assert np.abs(off).max() < 1e-3
     assert np.divide(off, off[0]) == pytest.approx([1.0, 2.0, 4.0], rel=0.25)
@@ -164,37 +132,19 @@ def test_a_very_thin_film_is_a_winkler_foundation(comm):
 # elements that follow the wear
 
 
-def moving(both, wears, mesh, comm):
-    line = contact_line(CONTACT, mesh, both[0].section, both[1].section)
-    return line, UpdatedGeometry(both, wears, line, mesh, comm)
-
-
-def profiles(line, depths):
-    """Uneven wear of lower and upper, these at most."""
-    x = (line.r - line.r[0]) / (line.r[-1] - line.r[0])
-    return np.stack([depths[0] * (0.6 + 0.4 * np.cos(5.0 * x)), depths[1] * (0.2 + 0.8 * x**2)])
-
-
-@pytest.mark.parametrize("depths", [(0.02, 0.1), (0.2, 0.45), (0.8, 0.6)])
-def test_an_update_is_a_fresh_assembly(depths, comm):
-    """Within layers, through one of them, and through all."""
-    mesh, both = Mesh(24), (COATED, layered(UPPER, (0.3, SOFT)))
-    line, geometry = moving(both, (True, True), mesh, comm)
-    worn = profiles(line, depths)
-    pair = geometry.update(worn)
-    slope = pair_slope((both[0].section, both[1].section), line, mesh, worn)
-    for i, (body, own) in enumerate(zip(both, (slope, -slope), strict=True)):
-        fresh = compliance(body, line, mesh, comm, node_wear(line, worn[i]), own)
-        assert np.array_equal(pair.normal[i], fresh.normal)
+def after_wear(both, worn, mesh, comm):
+    """The contact line, and the pair after the upper body has worn by so many mm all over."""
+    line = contact_line(CONTACT, mesh)
+    geometry = UpdatedGeometry(both, (False, True), line, mesh, comm)
+    return line, geometry.update(np.full((2, line.n), worn))
 
 
 def test_uniform_wear_within_a_layer_is_a_thinner_layer(comm):
     """The whole face of the upper ring worn: one that is lower by as much, its layer too."""
     mesh, h = Mesh(48), 0.2
     thick = LOWER, layered(UPPER, (0.5, SOFT))
-    line, geometry = moving(thick, (False, True), mesh, comm)
-    worn = np.stack([np.zeros(line.n), np.full(line.n, h)])
-    found = approach(geometry.update(worn), line)
+    line, pair = after_wear(thick, h, mesh, comm)
+    found = approach(pair, line)
     section = Section(CONTACT, 20.0 - h, (), (0.5 - h,))
     thin = LOWER, replace(thick[1], section=section)
     exact, before = (approach(assemble_pair(both, line, mesh, comm), line)
@@ -206,10 +156,8 @@ def test_uniform_wear_within_a_layer_is_a_thinner_layer(comm):
 def test_a_residual_film_is_about_the_substrate(coating, comm):
     """The upper ring worn through its layer: a lower ring without, but for a film of 1 um."""
     mesh, h = Mesh(48), 0.3
-    line, geometry = moving((LOWER, layered(UPPER, (0.05, coating))), (False, True), mesh, comm)
-    pair = geometry.update(np.stack([np.zeros(line.n), np.full(line.n, h)]))
+    line, pair = after_wear((LOWER, layered(UPPER, (0.05, coating))), h, mesh, comm)
     bare = LOWER, replace(UPPER, section=Section(CONTACT, 20.0 - h))
     exact = approach(assemble_pair(bare, line, mesh, comm), line)
     film = 1e-3 * 50.0 / coating.young
     assert approach(pair, line) == pytest.approx(exact, abs=max(film, 2e-5 * exact))
-    assert np.linalg.eigvalsh(pair.compliance((1e4, 1e5)).matrix).min() > 0.0

@@ -9,13 +9,6 @@ import ringwear_par as rw
 ELEMENTS = {"mesh.contact_elements": 16}
 ADAPTIVE = {**ELEMENTS, "time": {"scheme": "adaptive", "end": 30.0}}
 RATES = ["wear.lower.k", "contact.friction", "load.omega"]
-USER = """
-def rate(p, at):
-    return at.parameters["k"] * at.friction * at.speed * max_of(p - at.parameters["p0"])
-
-def max_of(x):
-    return (x > 0.0) * x
-"""
 
 
 def derivatives(case, inputs, outputs, **more):
@@ -68,20 +61,6 @@ def test_a_thicker_coating_costs_so_much_time():
     worked = k_body * slopes["dissipated_energy", key]
     expected = worked - case.area * (k_body / k_coating - 1.0)
     assert slopes["worn_volume_lower", key] == pytest.approx(expected, rel=1e-4)
-
-
-def test_laws_of_users_have_the_derivatives_of_ours(tmp_path, comm):
-    (tmp_path / "law.py").write_text(USER)
-    ours = rw.read_case(PAPER, {**ADAPTIVE, "wear.lower.p0": 20.0})
-    law = {"law": "user", "file": str(tmp_path / "law.py"), "parameters": {"k": 1e-7, "p0": 20.0}}
-    own = rw.read_case(PAPER, {**ADAPTIVE, "wear.lower": law})
-    keys = ["wear.lower.k", "wear.lower.p0"]
-    keys_of_file = ["wear.lower.parameters.k", "wear.lower.parameters.p0"]
-    _, _, expected = derivatives(ours, keys, ["penetration"], comm=comm)
-    _, _, found = derivatives(own, keys_of_file, ["penetration"], comm=comm)
-    for key, of_file in zip(keys, keys_of_file, strict=True):
-        slope = expected["penetration", key]
-        assert found["penetration", of_file] == pytest.approx(slope, rel=1e-3)
 
 
 def test_a_number_at_its_largest_is_moved_the_other_way():

@@ -6,12 +6,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.block_files import write_block
 from ringwear_par.studies.blocks import FOLDER, Block
 from ringwear_par.studies.ensemble import read_ensemble
-from ringwear_par.studies.results_file import merge
+from ringwear_par.studies.results_file import derived, merge, write_block
 from ringwear_par.studies.study import Study
-from ringwear_par.studies.variations import Column
+from ringwear_par.studies.variations import column_of
 
 
 def write(
@@ -36,11 +35,12 @@ def write(
     arrays |= {"elements": np.full(count, 4), "seconds": np.full(count, 0.1)}
     arrays |= {"imbalance": np.zeros(count), "error": np.zeros(count, "S1")}
     arrays |= {"flags": np.zeros(count, "S1"), "status": np.array(status or ["done"] * count, "S")}
-    columns = tuple(map(Column.of, map(list, zip(*rows, strict=True))))
-    study = Study("study", "", method, {}, tuple(names), columns)
+    columns = map(column_of, map(list, zip(*rows, strict=True)))
+    study = Study("study", "", method, {}, dict(zip(names, columns, strict=True)))
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    block = Block(folder / FOLDER / "all.h5", np.arange(count))
-    write_block(block.path, arrays)
+    chunk = {"case": count, "step": 32, "element": 4}
+    block = Block(folder / FOLDER / "all.h5", np.arange(count), chunk)
+    write_block(block, derived(arrays))
     merge(study, [block], folder, 1)
     return read_ensemble(folder)
 

@@ -55,12 +55,12 @@ PLACES = {
     "results.signals": "StopSignals",
     "results.key_numbers": "key_numbers",
     "results.files": "restored",
-    "results.variables": "HISTORIES PROFILES",
+    "results.variables": "HISTORIES PROFILES edge_elements",
     "schedules": "Table bends in_time integral",
     "studies.many": "results_of",
     "studies.sweep": "run_sweep",
     "studies.together": "computed",
-    "studies.pictures.plot": "plot_stored",
+    "studies.plot": "plot_stored",
     "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging threshold",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}

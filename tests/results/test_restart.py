@@ -2,7 +2,7 @@
 
 import pytest
 from paths import CASES, PAPER
-from stored import assert_same
+from stored import assert_same, attributes
 
 from ringwear_par.results.files import open_result
 from ringwear_par.results.run import run_case

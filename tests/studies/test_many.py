@@ -1,30 +1,29 @@
-"""Many cases at once: those that fail do not disturb the others."""
+"""Many cases at once: the results of single runs, whatever goes on beside them."""
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from agreement import assert_agree
-from parts import (
-    Load,
-    Stepping,
-    Table,
-    parse_case,
-    restored,
-    simulate_one,
-)
+from mpi4py import MPI
+from parts import parse_case, restored, run_case
 from swept import CASE
 
 import ringwear_par as rw
 from ringwear_par.studies import together
 from ringwear_par.studies.many import simulate_all
 
+ALONE = MPI.COMM_SELF
 KINDS = [rw.FailedResult, rw.Result, rw.FailedResult]
 
 
 @pytest.fixture(scope="module")
 def case():
     return parse_case(CASE, "case", {"time.steps": 2})
+
+
+@pytest.fixture(scope="module")
+def six_steps(case):
+    return case.replace({"time.steps": 6, "output.every": 2})
 
 
 class BadLaw:
@@ -60,11 +59,11 @@ def test_an_assembly_that_raises_fails_its_group_only(case, comm, monkeypatch):
     assert all("no room" in str(each.error) for each in found[::2])
 
 
-@pytest.mark.parametrize("key", ["mesh.contact_elements", "time.steps"])
-def test_a_case_without_memory_for_it_fails_alone(case, comm, with_memory, key):
+@pytest.mark.parametrize("change", [{"mesh.contact_elements": 6000}, {"time.steps": 10**9}])
+def test_a_case_without_memory_for_it_fails_alone(case, comm, with_memory, change):
     """The first of its group; its own assembly, or what it stores, would take all memory."""
     with_memory(2e9)
-    huge = case.replace({key: 6_000 if key == "mesh.contact_elements" else 10**9})
+    huge = case.replace(change)
     found = simulate_all([huge, case, huge], comm)
     assert [type(each) for each in found] == KINDS
     for each in found[::2]:
@@ -92,20 +91,53 @@ def test_a_law_that_was_written_for_one_history_has_it_to_itself(case, comm):
         assert_agree(found, alone)
 
 
-def test_a_history_that_ends_without_load_goes_on(case, comm):
-    """From the result of many histories, as one of a single history would."""
-    force = case.load.force
-    load = Load(case.load.omega, Table((0.0, 20.0, 40.0), (force, 0.0, force)))
-    short, long = (
-        replace(case, load=load, time=Stepping("adaptive", until=until)) for until in (20.0, 40.0)
-    )
-    found, single = simulate_all([short, short], comm)[0], rw.simulate(short, comm)
-    assert found.histories["force"][-1] == 0.0
-    ends = []
-    for first in (restored(found), restored(single)):
-        seen = []
-        simulate_one(long, comm, seen.append, first=first)
-        ends.append(seen[-1].state.wear[0, 0])
-    end, exact = ends
-    assert np.abs(end - exact).max() <= 1e-2 * case.time.tolerance
-    assert (end > found.profiles["wear_lower"][-1]).all()
+def cases_of(case, **more):
+    """Cases that differ in numbers; one fails, and some stay alone."""
+    changes = [
+        {"wear.lower.k": 2e-7}, {"load.pressure": 50.0, "time.steps": 3}, {"wear.lower.k": 0.5},
+        {"wear.lower.p0": 0.0}, {"wear.lower.k": 2e-7}, {"upper.young": 5e4},
+        {"mesh.geometry": "updated"}, {"time.scheme": "explicit"},
+        {"load.pressure": [[0, 9], [9, 90]]},
+        {"time.scheme": "explicit", "time.step": 500.0, "time.steps": 2},
+    ]  # fmt: skip
+    return [case.replace({**change, **more}) for change in changes]
+
+
+@pytest.mark.parametrize(("profiles", "batch"), [("all", None), ("last", 2)])
+def test_results_are_those_of_single_cases(six_steps, profiles, batch):
+    cases = cases_of(six_steps, **{"output.profiles": profiles})
+    results = simulate_all(cases, ALONE, batch=batch)
+    for one, mine in zip(cases, results, strict=True):
+        if isinstance(mine, rw.FailedResult):
+            with pytest.raises(rw.ComputationError) as caught:
+                rw.simulate(one, ALONE)
+            assert str(caught.value) == str(mine.error)
+            continue
+        exact = rw.simulate(one, ALONE)
+        if one is not cases[-1]:  # whose steps are unstable
+            assert_agree(mine, exact)
+        assert [doubt.code for doubt in mine.doubts] == [doubt.code for doubt in exact.doubts]
+        assert mine.attributes.keys() == exact.attributes.keys()
+        for name in ("case", "status", "scheme", "law_lower", "energy_identity"):
+            assert mine.attributes[name] == exact.attributes[name]
+        assert mine.balances.keys() == exact.balances.keys()
+        assert max(mine.balances[n] for n in ("force", "energy")) < 1e-9
+        assert mine.balances["residual"] < 2e-4
+    assert results[-1].doubts
+    assert not results[0].doubts
+    assert isinstance(results[2], rw.FailedResult)
+
+
+def test_what_is_stored_goes_on_as_any_run(six_steps, tmp_path):
+    """A result is saved, and a longer run goes on from it."""
+    path, longer = tmp_path / "case.toml", tmp_path / "longer.toml"
+    path.write_text(six_steps.text)
+    longer.write_text(six_steps.replace({"time.steps": 10}).text)
+    (found,) = simulate_all([rw.read_case(path)], ALONE)
+    found.save(tmp_path / "run.h5")
+    assert restored(found).steps == 6
+    run_case(longer, tmp_path / "run.h5", comm=ALONE, restart=True)
+    whole = rw.simulate(rw.read_case(longer), ALONE)
+    gone_on = rw.open_result(tmp_path / "run.h5")
+    assert gone_on.attributes["status"] == "complete"
+    assert_agree(gone_on, whole)

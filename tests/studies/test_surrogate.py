@@ -2,16 +2,13 @@
 
 import itertools
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from known_sweeps import sample, write
-from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures.figures import draw_sweep
-from ringwear_par.studies.surrogate import sobol_indices
+from ringwear_par.studies.plot import draw_sweep
 
 KEYS = ("wear.lower.k", "load.pressure", "wear.lower.p0")
 
@@ -106,18 +103,6 @@ def test_between_the_values_of_a_grid(tmp_path, counts):
     assert rms(depth - through(full)) < 1.5 * made.error["penetration"]
 
 
-def test_shares_are_from_0_to_1(tmp_path):
-    """Between cases in which all or nothing is worn through."""
-    ensemble = written(tmp_path, power)
-    share = np.clip(0.5 + 2.0 * np.log10(ensemble.final["penetration"] / 1e-3), 0.0, 1.0)
-    final = {**ensemble.final, "share_through_lower": share, "max_mises": share}
-    made = rw.surrogate(replace(ensemble, final=final))
-    answers = made.predict(inside(made, 3000))
-    assert answers["max_mises"].max() > 1.0  # the same numbers, of what may be more
-    assert answers["share_through_lower"].min() == 0.0
-    assert answers["share_through_lower"].max() == 1.0
-
-
 def test_nothing_else_than_the_cases_is_answered_for(tmp_path):
     written(tmp_path, power)
     made = rw.surrogate(tmp_path)
@@ -131,21 +116,6 @@ def test_nothing_else_than_the_cases_is_answered_for(tmp_path):
         made.predict({"wear.lower.k": 1e-7})
     with pytest.raises(rw.InputError, match="torque"):
         rw.surrogate(tmp_path, ["torque"])
-
-
-def test_scales_and_ends_are_those_of_the_design(tmp_path):
-    """Spans of less than 20 look linear; the ends of a range are in reach of its cases."""
-    u = sample(KEYS[:2], 32)
-    x = np.column_stack([1e-7 * 10.0 ** u[:, 0], 50.0 + 50.0 * u[:, 1]])
-    ensemble = write(tmp_path, KEYS[:2], x, x[:, 0] ** 3, "sobol")
-    study = (
-        '[vary]\n"wear.lower.k" = { log = [1e-7, 1e-6] }\n"load.pressure" = { linear = [50, 110] }'
-        '\n[design]\nmethod = "sobol"\ncount = 32\n'
-    )
-    made = rw.surrogate(replace(ensemble, attributes={"method": "sobol", "study": study}))
-    assert [factor.logarithmic for factor in made.factors] == [True, False]
-    assert made.ranges == {"wear.lower.k": (1e-7, 1e-6), "load.pressure": (50.0, 110.0)}
-    assert not any(factor.logarithmic for factor in rw.surrogate(tmp_path).factors)
 
 
 def test_texts_are_answered_for(tmp_path):
@@ -162,7 +132,7 @@ def test_texts_are_answered_for(tmp_path):
     for texts in ({"wear.lower.law": "table"}, {}):
         with pytest.raises(rw.InputError, match=r"wear\.lower\.law"):
             made.predict({**at, **texts})
-    law = dict(zip(made.ranges, sobol_indices(made, "penetration")[1], strict=True))
+    law = dict(zip(made.ranges, made.sobol_indices("penetration")[1], strict=True))
     assert law["wear.lower.law"] > 0.1
 
 
@@ -192,7 +162,7 @@ def test_sobol_indices_of_the_function_of_ishigami(tmp_path):
     x = np.pi * (2.0 * u - 1.0)
     depth = np.sin(x[:, 0]) * (1.0 + 0.1 * x[:, 2] ** 4) + 7.0 * np.sin(x[:, 1]) ** 2 + 11.0
     write(tmp_path, KEYS, 1.0 + u, depth, "sobol")
-    first, total = sobol_indices(rw.surrogate(tmp_path), "penetration")
+    first, total = rw.surrogate(tmp_path).sobol_indices("penetration")
     assert first == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
     assert total == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.02)
 
@@ -204,7 +174,7 @@ def test_it_is_drawn(tmp_path):
     assert len(figure.axes) == 1 + 1 + 2 * 2
     bars, along_k, _ = figure.axes[1:4]
     made = rw.surrogate(tmp_path)
-    first, total = sobol_indices(made, "penetration")
+    first, total = made.sobol_indices("penetration")
     assert [bar.get_width() for bar in bars.containers[0]] == pytest.approx(first)
     assert [bar.get_width() for bar in bars.containers[1]] == pytest.approx(total)
     mean, points = along_k.lines
@@ -215,32 +185,16 @@ def test_it_is_drawn(tmp_path):
     assert depth == pytest.approx(1e6 * k * over_p, rel=0.02)  # of 256 points over p
 
 
-def test_a_sweep_is_answered_for(tmp_path):
-    """Profiles and times, too, from the data set that users open; of fresh cases."""
-    (tmp_path / "case.toml").write_text(
-        CASE.replace("steps = 20", "steps = 10").replace("p0 = 40", "p0 = 20")
-    )
-    vary = {"wear.lower.k": {"log": [1e-8, 1e-6]}, "load.pressure": {"linear": [50.0, 80.0]}}
-    for name, seed, count in (("a", 1, 64), ("b", 2, 24)):
-        design = {"method": "sobol", "count": count, "seed": seed}
-        study = {"case": tmp_path / "case.toml", "vary": vary, "design": design}
-        rw.sweep(rw.read_study(study), tmp_path / name)
-    with rw.open_ensemble(tmp_path / "a") as data:
-        early = data.penetration.to_numpy()[:, [4, -1]]
-        arrays = {"wear": data.wear_lower.isel(step=-1), "early": early}
-    made, others = rw.surrogate(tmp_path / "a"), rw.surrogate(tmp_path / "a/results.h5", arrays)
-    assert {"penetration", "worn_volume_lower", "worn_volume_upper"} <= made.responses.keys()
-    assert made.ranges == {"wear.lower.k": (1e-8, 1e-6), "load.pressure": (50.0, 80.0)}
-    with rw.open_ensemble(tmp_path / "b") as data:
-        at = {key: data[key].to_numpy() for key in made.ranges}
-        wear, depth = data.wear_lower.to_numpy()[:, -1], data.penetration.to_numpy()
-    exact = {"penetration": depth[:, -1], "wear": wear, "early": depth[:, [4, -1]]}
-    answers = made.predict(at) | others.predict(at)
-    errors = {**made.error, **others.error}
-    for name, depths in exact.items():
-        assert answers[name].shape == depths.shape
-        assert rms(answers[name] - depths) < 3.0 * errors[name]
-    assert max(others.relative_error.values()) < 0.02
-    with pytest.raises(rw.InputError, match=r"wear: .* \(64, ...\)"):
-        rw.surrogate(tmp_path / "a", {"wear": wear})
-    assert rw.plot(tmp_path / "a").axes
+def test_any_array_over_the_cases_is_a_response(tmp_path):
+    """Profiles and times, too; of fresh cases."""
+    ensemble = written(tmp_path, threshold, 128, 3)
+    depth = ensemble.final["penetration"]
+    profiles = depth[:, None, None] * np.arange(1.0, 7.0).reshape(2, 3)
+    made = rw.surrogate(tmp_path / "results.h5", {"wear": profiles})
+    fresh = inside(made, 200)
+    exact = threshold(np.column_stack([*fresh.values()]))
+    wear = made.predict(fresh)["wear"]
+    assert wear.shape == (200, 2, 3)
+    assert rms(wear[:, 1, 2] - 6.0 * exact) < 3.0 * 6.0 * made.error["wear"]
+    with pytest.raises(rw.InputError, match=r"wear: .* \(128, ...\)"):
+        rw.surrogate(tmp_path, {"wear": profiles[:5]})

@@ -1,6 +1,5 @@
 """Sweeps: the numbers of single runs, files as the contract has them, failures, other studies."""
 
-import csv
 import shutil
 import tomllib
 from functools import partial
@@ -8,7 +7,7 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
-from parts import HISTORIES, PROFILES, Law, parse_case, threshold
+from parts import Law, edge_elements, parse_case, threshold
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
 import ringwear_par as rw
@@ -17,7 +16,12 @@ from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 
 #: three cases of one operator, and six of two
 COEFFICIENTS = '[vary]\n"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }\n'
-SHAPES = COEFFICIENTS + '"upper.r" = { values = [[28.5, 31.5], [28, 32]] }\n'
+OWN_KEYS = """[vary]
+"wear.lower.k" = { values = [4e-7, 1e-8, 2e-7] }
+"wear.lower.p0" = { values = [35.0, 0.0] }
+"upper.young" = { values = [5e4, 1e5] }
+"lower.r" = { values = [[20.0, 40.0], [25.0, 36.0]] }
+"""
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
 
 
@@ -36,41 +40,27 @@ def known(tmp_path_factory, comm):
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    """Have no more than five cases in a block."""
-    monkeypatch.setattr(together, "MOST", 5)
+    """Have four cases in a block."""
+    monkeypatch.setattr(together, "MOST", 4)
 
 
-def test_equals_single_runs(known, comm):
-    """To 1e-12: of one operator each."""
-    found, rows = variables(known), table(known)
-    cases = rw.read_study(known.parent / "study.toml")
-    assert [row["status"] for row in rows] == ["done"] * 12
-    for i in (0, 5, 10):
-        run = rw.simulate(cases.case(i), comm).to_xarray()
-        for name in (*HISTORIES, *PROFILES, "r", "width"):
-            if name == "contact_iterations":
-                continue
-            values = run[name].values
-            gap = 1e-12 * max(np.abs(values).max(), 1e-3 if name == "gap" else 0.0)
-            assert found[name][i] == pytest.approx(values, rel=1e-12, abs=gap), name
-        assert float(rows[i]["penetration"]) == found["penetration"][i, -1]
-
-
-def test_edge_elements_are_those_of_single_runs(write, tmp_path, comm):
-    """NaN where a contact line has no element: no edge of contact either."""
-    changes = {"upper.chamfer": 0.2, "time.steps": 2}
-    path = write(
-        '[vary]\n"mesh.contact_elements" = { values = [24, 32] }\n',
-        case=parse_case(CASE, "case").replace(changes).text,
-    )
-    rw.sweep(path, tmp_path / "out", comm)
-    with open_ensemble(tmp_path / "out") as data:
-        for i, n in enumerate((24, 32)):
-            alone = rw.simulate(rw.read_study(path).case(i), comm)
-            marked = data.edge_element[i].values
-            assert np.array_equal(marked[:, :n], alone.to_xarray().edge_element.values)
-            assert np.isnan(marked[:, n:]).all()
-            assert (np.nansum(marked, axis=1) == 4).all()
+def test_rows_are_what_their_own_keys_give(tmp_path, comm):
+    """Of two shapes and two moduli, in an order that is not that of any identity."""
+    study = write_study(tmp_path, comm, OWN_KEYS, CASE.replace("steps = 20", "steps = 6"))
+    rw.sweep(study, tmp_path / "out", comm)
+    rows, found = table(tmp_path / "out"), variables(tmp_path / "out")
+    assert [row["status"] for row in rows] == ["done"] * 24
+    for i in range(0, 24, 5):
+        keys = {key: tomllib.loads(f"x = {rows[i][key]}")["x"] for key in rows[i] if "." in key}
+        alone = rw.simulate(rw.read_case(tmp_path / "paper.toml", keys | {"time.steps": 6}), comm)
+        assert found["case"][i].decode() == rows[i]["case"]
+        assert found["wear.lower.k"][i] == keys["wear.lower.k"]
+        for name, values in {**alone.histories, **alone.profiles}.items():
+            if name != "contact_iterations":
+                most = 1e-9 * max(np.abs(values).max(), 1e-3)
+                assert found[name][i] == pytest.approx(values, rel=1e-9, abs=most), name
+        for name in ("penetration", "worn_volume_lower", "worn_volume_upper"):
+            assert float(rows[i][name]) == found[name][i, -1] == found[f"final_{name}"][i]
 
 
 def test_opens_in_xarray_with_coordinates(known):
@@ -108,17 +98,6 @@ def test_blocks_do_not_depend_on_anything_but_cases(write, tmp_path):
     assert not set(other) & set(short)
 
 
-def test_geometries_share_a_block(write, tmp_path, comm):
-    """One file has the cases of several contact pairs."""
-    path = write(
-        '[vary]\n"upper.r[1]" = { linear = [30.5, 32.5], count = 5 }\n'
-        '"wear.lower.p0" = { linear = [0, 60], count = 4 }\n'
-        '"time.steps" = { values = [2] }\n'
-    )
-    assert len(blocks.blocks_of(rw.read_study(path), tmp_path)) == 1
-    assert rw.sweep(path, tmp_path / "out", comm).done == 20
-
-
 def test_different_sizes_are_padded(write, tmp_path, comm):
     path = write(
         '[vary]\n"mesh.contact_elements" = { values = [8, 16] }\n'
@@ -134,18 +113,10 @@ def test_different_sizes_are_padded(write, tmp_path, comm):
         assert np.isnan(found["penetration"][i, rows:]).all()
         assert np.isfinite(found["pressure"][i, :n]).all()
         assert np.isnan(found["pressure"][i, n:]).all()
+        edges = edge_elements(found["pressure"][i, :n])
+        assert np.array_equal(found["edge_element"][i, :n], edges)
+        assert np.isnan(found["edge_element"][i, n:]).all()
         assert found["final_penetration"][i] == found["penetration"][i, rows - 1]
-
-
-def test_profiles_of_all_steps_beside_those_of_the_last(write, tmp_path, comm):
-    path = write(
-        '[vary]\n"output.profiles" = { values = ["last", "all"] }\n"time.steps" = { values = [3] }'
-    )
-    rw.sweep(path, tmp_path / "out", comm)
-    wear = variables(tmp_path / "out")["wear_lower"]
-    assert wear.shape == (2, 4, 16)
-    assert np.isnan(wear[0, :-1]).all()
-    assert np.array_equal(wear[0, -1], wear[1, -1])
 
 
 def test_again_recomputes_nothing_and_changes_nothing(known, tmp_path, comm):
@@ -192,46 +163,24 @@ def raising(monkeypatch, message="this law blows up"):
     return lambda: monkeypatch.setattr(Law, "function", original)
 
 
+@pytest.mark.usefixtures("small_blocks")
 def test_a_failed_case_is_a_row_and_the_others_go_on(write, tmp_path, comm, monkeypatch):
-    path, folder = write(COEFFICIENTS), tmp_path / "out"
-    mend = raising(monkeypatch)
-    with pytest.raises(rw.ComputationError, match="1 of 3"):
+    path = write(COEFFICIENTS + '"wear.lower.p0" = { linear = [0, 60], count = 4 }\n')
+    message = '\N{GREEK SMALL LETTER MU}, "mm"\n' + 30 * "long "
+    folder, mend = tmp_path / "out", raising(monkeypatch, message)
+    with pytest.raises(rw.ComputationError, match="4 of 12"):
         rw.sweep(path, folder, comm)
     rows = table(folder)
-    assert [row["status"] for row in rows] == ["done", "failed", "done"]
-    assert "this law blows up" in rows[1]["error"]
+    assert [row["status"] for row in rows] == ["done"] * 4 + ["failed"] * 4 + ["done"] * 4
+    with open_ensemble(folder) as data:
+        assert [str(error) for error in data.error.values] == [row["error"] for row in rows]
+    assert all("\N{GREEK SMALL LETTER MU}" in row["error"] for row in rows[4:8])
     mend()
-    with pytest.raises(rw.ComputationError, match="1 of 3"):
+    with pytest.raises(rw.ComputationError, match="4 of 12"):
         rw.sweep(path, folder, comm)  # failures are results as well
     summary = rw.sweep(path, folder, comm, retry_failed=True)
-    assert (summary.done, summary.failed) == (3, 0)
+    assert (summary.done, summary.failed, summary.computed) == (12, 0, 4)  # a block of four
     assert all(row["status"] == "done" for row in table(folder))
-
-
-@pytest.mark.usefixtures("small_blocks")
-def test_a_retry_computes_the_blocks_of_failed_cases_only(write, tmp_path, comm, monkeypatch):
-    path = write(COEFFICIENTS + '"wear.lower.p0" = { linear = [0, 60], count = 4 }\n')
-    mend = raising(monkeypatch)
-    with pytest.raises(rw.ComputationError, match="4 of 12"):
-        rw.sweep(path, tmp_path / "out", comm)
-    mend()
-    assert rw.sweep(path, tmp_path / "out", comm, retry_failed=True).computed == 10
-
-
-def test_an_operator_that_fails_fails_its_cases_only(write, tmp_path, comm, monkeypatch):
-    original = together.assemble
-
-    def assemble(case, team):
-        if case.upper.r[0] == 28.0:
-            raise rw.ComputationError("the factorisation failed")
-        return original(case, team)
-
-    monkeypatch.setattr(together, "assemble", assemble)
-    with pytest.raises(rw.ComputationError, match="3 of 6"):
-        rw.sweep(write(SHAPES), tmp_path / "out", comm)
-    failed = [row for row in table(tmp_path / "out") if row["status"] == "failed"]
-    assert {row["upper.r"] for row in failed} == {"[28, 32]"}
-    assert {row["error"] for row in failed} == {"the factorisation failed"}
 
 
 def test_a_bad_corner_is_a_failed_case(write, tmp_path, comm):
@@ -273,13 +222,3 @@ def test_warnings_are_flags_of_a_sweep(write, tmp_path, comm):
     assert "unstable_explicit_step" in rows[0]["flags"]
     with open_ensemble(tmp_path / "out") as data:
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
-
-
-def test_texts_of_any_length_and_letters_are_stored(write, tmp_path, comm, monkeypatch):
-    raising(monkeypatch, message='\N{GREEK SMALL LETTER MU}, "mm"\n' + 30 * "long ")
-    with pytest.raises(rw.ComputationError):
-        rw.sweep(write(COEFFICIENTS), tmp_path / "out", comm)
-    with open_ensemble(tmp_path / "out") as data, (tmp_path / "out/cases.csv").open() as file:
-        errors = [row["error"] for row in csv.DictReader(file)]
-        assert [str(error) for error in data.error.values] == errors
-    assert "\N{GREEK SMALL LETTER MU}" in errors[1]

@@ -9,8 +9,8 @@ from known_sweeps import sample, write
 from parts import plot_stored
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures.effects import choose
-from ringwear_par.studies.pictures.figures import draw_sweep
+from ringwear_par.studies.pictures import choose
+from ringwear_par.studies.plot import draw_sweep
 
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 
@@ -105,27 +105,3 @@ def test_fan_of_histories_with_different_steps(tmp_path):
         x, y = band.get_paths()[0].vertices.T
         last = y[np.isclose(x, 60.0)]
         assert (last.min(), last.max()) == pytest.approx(ends)
-
-
-def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path):
-    u = sample(KEYS, 2500)
-    fan = draw_sweep(write(tmp_path, KEYS, u, linear(u), "list")).axes[0]
-    assert "1000 of 2500 cases" in fan.get_legend().get_title().get_text()
-    median = fan.lines[-1].get_ydata()[-1]
-    assert median == pytest.approx(1e3 * np.median(linear(u)), rel=0.03)
-
-
-def test_round_off_looks_like_no_effect(tmp_path):
-    """Values that differ by it lie on a level line; 2 % are seen as ever."""
-    u = np.array(list(itertools.product(np.linspace(0.1, 1.0, 4), repeat=2)))
-    noise = 4.79307 * (1.0 + 1e-6 * np.random.default_rng(2).random(len(u)))
-    seen = 4.0 + 0.02 * u[:, 0]
-    ensemble = write(tmp_path, KEYS[:2], u, u[:, 0], "grid", lower=noise, upper=seen)
-    figure = draw_sweep(ensemble)
-    check_texts(figure)
-    spans = {
-        body: [np.ptp(axes.get_ylim()) for axes in figure.axes if body in axes.get_ylabel()]
-        for body in ("lower", "upper")
-    }
-    assert min(spans["lower"]) >= 1e-3 * 4.79
-    assert 0.015 < max(spans["upper"]) < 0.03

@@ -112,13 +112,3 @@ def test_surrogates_answer_for_stresses(swept):
     with rw.open_ensemble(swept) as data:
         at = {name: data[name].values for name in ("lower.layers[0].thickness", "load.pressure")}
         np.testing.assert_allclose(made.predict(at)["mises[1]"], data.final_mises[:, 1], rtol=1e-3)
-
-
-def test_figures_and_pages_show_them(swept, tmp_path):
-    labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]
-    assert "largest von Mises stress (MPa)" in labels
-    assert not any("point" in label or "body" in label or "layer 0" in label for label in labels)
-    rw.report(swept, tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    assert "largest von Mises stress (MPa)" in page
-    assert "worn through from, lower (s)" in page

@@ -16,19 +16,13 @@ from reference_cases import NU, collocated, paper_case
 from scipy.special import j0, j1, jn_zeros
 from tracing import first_contact
 
-from ringwear_par.elasticity.bem.body import (
-    BoundaryProblem,
-    body_zones,
-    contact_problem,
-    solve_bodies,
-)
+from ringwear_par.elasticity.bem.body import body_zones, solve_zones
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
 
 BASE = Material(1.0, NU)
-NONE = np.array([], dtype=int)
 
 
 def test_bar_of_two_materials(comm):
@@ -36,10 +30,10 @@ def test_bar_of_two_materials(comm):
     h, layer, base, mesh = 4.0, Material(2.0, 0.4), Material(1.0, 0.2), Mesh(16)
     section = Section((20.0, 40.0), 20.0, (), (h,))
     body = Body(section, base.young, base.poisson, "platen", (layer,))
-    problem = contact_problem(body, contact_line(section.r, mesh), mesh, None, None)
-    problem = replace(problem, elements=(NONE, problem.zones[1].boundary.above))
-    (response,) = solve_bodies([problem], comm)
-    u, t = response.displacement[:, 1].sum(axis=1), response.traction[:, :2].sum(axis=2)
+    zones = body_zones(body, contact_line(section.r, mesh), mesh)
+    (top, below), _ = solve_zones(zones, mesh.quadrature_tolerance, comm)
+    u = top.displacement[top.boundary.elements[top.boundary.contact, 1], 1].sum(axis=1)
+    t = below.traction[below.boundary.above, :2].sum(axis=2)
     exactly = -h / layer.young - (section.height - h) / base.young
     assert u == pytest.approx(np.full_like(u, exactly), rel=1e-6)
     assert np.abs(t - [0.0, -1.0]).max() < 1e-6
@@ -74,14 +68,9 @@ def test_bessel_modes(comm):
                 traction[boundary.contact, 2] = angular
             conditions = BoundaryConditions(fixed, load, traction, 1)
             zones.append(replace(zone, conditions=conditions))
-        problem = BoundaryProblem(
-            tuple(zones), 1e-8,
-            tuple(zone.boundary.elements[zone.boundary.contact, 1] for zone in zones),
-            tuple(zone.boundary.above for zone in zones),
-        )  # fmt: skip
-        (response,) = solve_bodies([problem], comm)
-        u = response.displacement[:, :, 0]
-        t = response.traction[:, :, 0].reshape(-1, n, 3)  # interfaces have the face's elements
+        (top, *below), _ = solve_zones(zones, 1e-8, comm)
+        u = top.displacement[top.boundary.elements[top.boundary.contact, 1], :, 0]
+        t = np.array([zone.traction[zone.boundary.above, :, 0] for zone in below])
         exact_shear = np.multiply.outer(torsion[1:, 1], angular)[..., None]
 
         def off(difference):
@@ -111,11 +100,10 @@ def test_layer_on_a_half_space(layer, thickness, comm):
         for big_r in (200.0, 400.0):
             section = Section((0.0, big_r), big_r, (), (thickness,))
             disc = Body(section, BASE.young, NU, "clamped", (layer,))
-            problem = contact_problem(disc, line, mesh, None, None)
-            contact = problem.zones[0].boundary.elements[problem.zones[0].boundary.contact]
+            (top, _), _ = solve_zones(body_zones(disc, line, mesh), 1e-7, comm)
+            contact = top.boundary.elements[top.boundary.contact]
             nodes = np.array([contact[0, 2], *contact[:, 1], contact[-1, 0]])
-            problem = replace(problem, nodes=(nodes, problem.nodes[1]))
-            found.append(-solve_bodies([problem], comm)[0].displacement[:, 1].sum(axis=1))
+            found.append(-top.displacement[nodes, 1].sum(axis=1))
         known = exact.bathed_circle(np.array([0.0, *line.r, 1.0]), thickness, layer, BASE)
         axis, *inside, edge = np.abs((2.0 * found[1] - found[0]) / known - 1.0)
         return {"axis": axis, "inside": np.array(inside)[line.r < 0.9].max(), "edge": edge}

@@ -24,9 +24,11 @@ from reference_cases import (
 from tracing import first_contact, trace
 
 import ringwear_par as rw
-from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
-from ringwear_par.elasticity.bem.boundary import boundary_mesh
+from ringwear_par.elasticity.bem.body import boundary_conditions, solve_zones
+from ringwear_par.elasticity.bem.boundary import zone_meshes
+from ringwear_par.elasticity.bem.systems import Zone
 from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Material
 
 #: beyond this distance from an edge, mm, the shape of the pressure at the edge is resolved
 INSIDE = 0.02
@@ -147,15 +149,15 @@ def test_cones_are_those_of_finite_elements(degrees, comm):
 
 def bathed(body, case, slope, comm):
     """Return the deflection of a contact face, mm at E = 1, under 1 MPa on the sides of a body."""
-    boundary = boundary_mesh(body.section, case.line, case.mesh)
+    boundary = zone_meshes(body.section, case.line, case.mesh)[0]
     loaded = boundary_conditions(boundary, body.grip, slope)
     load, traction = np.full_like(loaded.load, -1), np.zeros_like(loaded.traction)
     for side, value in ((boundary.inner_side, 1.0), (boundary.outer_side, -1.0)):
         load[side, 0], traction[side, 0] = 0, value
     conditions = loaded._replace(load=load, traction=traction, n_loads=1)
     middle = boundary.elements[boundary.contact, 1]
-    response = solve_body(boundary, conditions, NU, 1e-8, middle, boundary.contact, comm)
-    radial, axial, _ = response.displacement[:, :, 0].T
+    (response,), _ = solve_zones([Zone(boundary, conditions, Material(1.0, NU))], 1e-8, comm)
+    radial, axial, _ = response.displacement[middle, :, 0].T
     return slope * radial - axial
 
 

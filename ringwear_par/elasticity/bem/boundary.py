@@ -26,8 +26,8 @@ _PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
 _LAYERED = 1.6, 3.5, 1.3
 #: the same where stresses beside the contact are computed
 _FINE = 3.0, 4.0, 1.3
-#: contact elements above which dense systems exceed any machine's memory
-_MOST_MADE = 100_000
+#: most contact elements of a mesh that is made to count its elements
+_MOST_MADE = 1000
 #: fewest elements of a free or fixed face
 _FEWEST = 4
 #: longest elements of the fixed face, in distances from the contact line over the number of contact
@@ -79,68 +79,37 @@ def _along(points: FloatArray, n: int, grading: tuple[float, float]) -> FloatArr
     return np.stack([np.interp(at, arc, x) for x in points.T], axis=1)
 
 
-def _between(section: Section, a: float, b: float) -> FloatArray:
-    """Return the vertices of the contact face from radius a to radius b > a, ends included."""
-    radii = section.points[:, 0]
-    inside = radii[(radii > a) & (radii < b)]
-    r = np.concatenate([[a], inside, [b]])
-    return np.stack([r, section.depth(r)], axis=1)
+def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece:
+    """Return the contact face, from its outer to its inner end.
 
-
-def _beside(section: Section, fine: bool) -> tuple[float, float, float]:
-    return _FINE if fine else _LAYERED if section.layers else _PLAIN
-
-
-def _flats(
-    section: Section, contact: tuple[float, float], mesh: Mesh, fine: bool = False
-) -> tuple[list[tuple[float, float, int]], list[tuple[float, float, int]]]:
-    """Return the free pieces of the contact face inside and outside the contact, by radius.
-
-    Of each its ends and its number of elements: as many as its length asks.
+    Free pieces inside and outside the contact have as many elements as their length asks.
     """
-    (inner, outer), (a, b) = section.r, contact
-    times, *_ = _beside(section, fine)
-    n = 0.1 * mesh.contact_elements * times
+    (inner, outer), (a, b), radii = section.r, line.edges[[0, -1]].tolist(), section.points[:, 0]
+    times, near, far = _FINE if fine else _LAYERED if section.layers else _PLAIN
 
-    def of(start: float, end: float) -> list[tuple[float, float, int]]:
+    def flats(start: float, end: float) -> list[_Piece]:
         if start == end:
             return []
         cuts = [cut for cut in corners(section) if start < cut < end]
-        return [
-            (low, high, max(_FEWEST, round(n * (1.0 + math.log1p((high - low) / (b - a))))))
-            for low, high in itertools.pairwise(pieces(start, end, cuts, outer))
-        ]
-
-    return of(inner, a), of(b, outer)
-
-
-def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece:
-    """Return the contact face, from its outer to its inner end."""
-    contact_ends = float(line.edges[0]), float(line.edges[-1])
-    inside, outside = _flats(section, contact_ends, mesh, fine)
-    _, near, far = _beside(section, fine)
-
-    def flats(ends: list[tuple[float, float, int]]) -> list[_Piece]:
         lines = []
-        for a, b, n in reversed(ends):
-            towards_b, towards_a = (far if end in section.r else near for end in (b, a))
-            grading = towards_b, 1.0 if a == 0 else towards_a
-            lines.append(_named("flat", _along(_between(section, a, b)[::-1], n, grading)))
+        for low, high in reversed(list(itertools.pairwise(pieces(start, end, cuts, outer)))):
+            length = 1.0 + math.log1p((high - low) / (b - a))
+            n = max(_FEWEST, round(0.1 * mesh.contact_elements * times * length))
+            towards_high, towards_low = (far if r in section.r else near for r in (high, low))
+            r = np.concatenate([[high], radii[(radii > low) & (radii < high)][::-1], [low]])
+            points = np.stack([r, section.depth(r)], axis=1)
+            grading = towards_high, 1.0 if low == 0 else towards_low
+            lines.append(_named("flat", _along(points, n, grading)))
         return lines
 
     contact = np.stack([line.edges, section.depth(line.edges)], axis=1)[::-1]
-    return _joined([*flats(outside), _named("contact", contact), *flats(inside)])
+    return _joined([*flats(b, outer), _named("contact", contact), *flats(inner, a)])
 
 
 def _joined(pieces: Sequence[_Piece]) -> _Piece:
     """Return pieces one after another as one."""
     ends = [pieces[0].ends, *(piece.ends[1:] for piece in pieces[1:])]
     return _Piece(np.concatenate(ends), [name for piece in pieces for name in piece.names])
-
-
-def _levels(section: Section) -> list[float]:
-    """Return the heights of the contact plane, of the interfaces and of the fixed face, mm."""
-    return [0.0, *(-depth for depth in itertools.accumulate(section.layers)), -section.height]
 
 
 def _fixed_face(section: Section, contact: tuple[float, float], mesh: Mesh) -> FloatArray:
@@ -176,30 +145,27 @@ def _side_elements(section: Section, at_contact_edge: bool, height: float, mesh:
     return max(_FEWEST, math.ceil(whole * (height / section.height) ** (1.0 / CORNER_GRADING)))
 
 
-def face_elements(
-    section: Section, contact: tuple[float, float], mesh: Mesh, *, fine: bool = False
-) -> int:
-    """Return how many elements the contact face has, and each side of an interface."""
-    flats = sum(n for side in _flats(section, contact, mesh, fine) for *_, n in side)
-    return mesh.contact_elements + flats
+def _counted(section: Section, contact: tuple[float, float], mesh: Mesh, name: str) -> int:
+    """Return how many elements a mesh would have, or of some name of ``BoundaryMesh``.
+
+    Of large meshes in proportion to a smaller one: they may be larger than any machine's memory.
+    """
+    n = min(mesh.contact_elements, _MOST_MADE)
+    line, fine = ContactLine(np.linspace(*contact, n + 1)), name == "below"
+    zones = zone_meshes(section, line, replace(mesh, contact_elements=n), fine=fine)
+    return sum(len(getattr(zone, name)) for zone in zones) * mesh.contact_elements // n
 
 
 @lru_cache(maxsize=64)
 def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
-    """Return the number of boundary elements that ``zone_meshes`` would make."""
-    (inner, outer), (a, b) = section.r, contact
-    face = face_elements(section, contact, mesh)
-    sides = [outer == b, *([] if inner == 0 else [inner == a])]
-    # larger meshes than any machine holds are counted, never made: in proportion to a smaller one
-    counted = replace(mesh, contact_elements=min(mesh.contact_elements, _MOST_MADE))
-    fixed = len(_fixed_face(section, contact, counted)) - 1
-    count = fixed * mesh.contact_elements // counted.contact_elements
-    count += (1 + 2 * len(section.layers)) * face
-    for top, bottom in itertools.pairwise(_levels(section)):
-        count += sum(
-            _side_elements(section, at_contact, top - bottom, mesh) for at_contact in sides
-        )
-    return count
+    """Return about how many boundary elements ``zone_meshes`` would make."""
+    return _counted(section, contact, mesh, "elements")
+
+
+@lru_cache(maxsize=64)
+def count_at_interfaces(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
+    """Return about how many elements lie along interfaces, on one side, for stresses."""
+    return _counted(section, contact, mesh, "below")
 
 
 def _side(
@@ -233,14 +199,6 @@ def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: Flo
             f"{thinnest:g} mm: the elements cannot follow it"
         )
     contact[:, 1] -= worn[::-1]
-
-
-def boundary_mesh(
-    section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
-) -> BoundaryMesh:
-    """Return the boundary elements of a section without layers, see ``zone_meshes``."""
-    (only,) = zone_meshes(section, line, mesh, worn)
-    return only
 
 
 def zone_meshes(
@@ -279,7 +237,8 @@ def zone_meshes(
     if worn is not None:
         _lower_face(section, line, worn_top, worn)
     zones = []
-    for k, (high, low) in enumerate(itertools.pairwise(_levels(section))):
+    levels = [0.0, *(-depth for depth in itertools.accumulate(section.layers)), -section.height]
+    for k, (high, low) in enumerate(itertools.pairwise(levels)):
         base = np.stack([top[:, 0], np.full(len(top), low)], axis=1)
         base_name = "below" if k < len(section.layers) else "fixed"
         if base_name == "fixed":

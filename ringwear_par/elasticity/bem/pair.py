@@ -7,7 +7,7 @@ exceed the tiny element's own compliance. The symmetric part alone therefore spo
 the elements at an edge, by their whole pressure where that is regular, and however fine the mesh.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,7 +16,8 @@ from mpi4py import MPI
 from scipy.linalg import cho_factor, cho_solve, eigh
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliances
+from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliance
+from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, obliquity, pair_key, pair_slope
 from ringwear_par.elasticity.sections import Body
 from ringwear_par.errors import ComputationError
@@ -163,6 +164,11 @@ class ContactPair:
         a, b = self.line.edges[[0, -1]]
         return f"<ContactPair: {self.line.n} contact elements, r = {a:g} to {b:g} mm>"
 
+    @property
+    def obliquity(self) -> FloatArray:
+        """(n,), 1 / cos alpha: true area, on which friction and wear act, over projected area."""
+        return obliquity(self.slope)
+
     def compliance(self, young: tuple[float, float]) -> ContactCompliance:
         """Return the compliance with Young's moduli (MPa) of lower and upper. Not collective.
 
@@ -213,31 +219,70 @@ def assemble_pair(
     ------
     ComputationError : a factorisation failed.
     """
-    lower, upper = bodies
-    slope = pair_slope((lower.section, upper.section), line, mesh)
-    matrices = compliances(bodies, line, mesh, comm, (slope, -slope), (None, None))
-    key = pair_key(bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
-    return join_bodies(line, matrices, slope, key, matrices)
+    return UpdatedGeometry(bodies, (False, False), line, mesh, comm).update(np.zeros((2, line.n)))
 
 
-def join_bodies(
-    line: ContactLine,
-    bodies: Sequence[Compliance],
-    slope: FloatArray,
-    key: Hashable,
-    new: Sequence[Compliance],
-) -> ContactPair:
-    """Return the pair of lower and upper, at the cost of those that are new. Not collective."""
-    return ContactPair(
-        line,
-        np.array([body.normal for body in bodies]),
-        np.array([line.area @ body.torsion for body in bodies]),
-        np.array([body.force_reaction for body in bodies]),
-        np.array([body.torque_reaction for body in bodies]),
-        slope,
-        key,
-        sum((body.cost for body in new), BodyCost()),
-    )
+class UpdatedGeometry:
+    """The contact pair of two bodies whose elements follow any wear: they are assembled anew.
+
+    Parameters
+    ----------
+    bodies : lower and upper.
+    wears : which of them wear, and so move.
+    line : contact elements.
+    mesh : discretisation.
+    comm : communicator of ``update``.
+    """
+
+    def __init__(
+        self,
+        bodies: tuple[Body, Body],
+        wears: tuple[bool, bool],
+        line: ContactLine,
+        mesh: Mesh,
+        comm: MPI.Comm,
+    ) -> None:
+        self._bodies, self._wears = bodies, np.array(wears)
+        self._line, self._mesh, self._comm = line, mesh, comm
+        # of each body the wear and the slope of the last update, and the compliance
+        self._last: dict[int, tuple[FloatArray, Compliance]] = {}
+
+    def update(self, worn: FloatArray) -> ContactPair:
+        """Return the pair after wear, its cost being that of this update. Collective on comm.
+
+        A body is assembled unless its wear and the directions of the pressure on it, which turn
+        with the other face, are those of the last update.
+
+        Parameters
+        ----------
+        worn : (2, n) float, mm >= 0, wear of the elements of lower and upper.
+
+        Raises
+        ------
+        ComputationError : the wear leaves too little of a body, or a factorisation failed.
+        """
+        line, mesh, cost = self._line, self._mesh, BodyCost()
+        worn = np.where(self._wears[:, None], worn, 0.0)
+        lower, upper = self._bodies
+        slope = pair_slope((lower.section, upper.section), line, mesh, worn)
+        for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
+            shape = np.stack([worn[i], own])
+            if i not in self._last or not np.array_equal(self._last[i][0], shape):
+                wear = node_wear(line, worn[i])
+                self._last[i] = shape, compliance(body, line, mesh, self._comm, wear, own)
+                cost += self._last[i][1].cost
+        both = [self._last[i][1] for i in range(2)]
+        key = pair_key(self._bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
+        return ContactPair(
+            line,
+            np.array([body.normal for body in both]),
+            np.array([line.area @ body.torsion for body in both]),
+            np.array([body.force_reaction for body in both]),
+            np.array([body.torque_reaction for body in both]),
+            slope,
+            (key, worn.tobytes()) if worn.any() else key,
+            cost,
+        )
 
 
 def largest_stable_step(compliance: ContactCompliance, slope: FloatArray) -> float:

@@ -2,7 +2,8 @@
 
 Displacements are continuous and quadratic, tractions constant, on straight elements. The equation
 is collocated where an unknown lives: at a node for its displacement, at an element's mid-point
-for its traction.
+for its traction. The traction kernel acts on u(y) - u*(y), where u* is the rigid or constant-strain
+field that agrees with u at the collocation point, so every integrand is bounded.
 
 Bonded zones share the displacements of an interface's nodes and the tractions of its elements,
 opposite on both sides. The stiffer zone is collocated at all nodes there, the other at the
@@ -17,13 +18,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.elasticity._rings import integrate_rows
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
+from ringwear_par.elasticity.bem.quadrature import Quadrature
 from ringwear_par.elasticity.sections import Material
 
 #: components of the (r, z) and of the theta system
 SYSTEMS = slice(0, 2), slice(2, 3)
+#: component at the source and direction on the element of each pair of kernels
+_COMPONENT, _DIRECTION = np.array([0, 1, 0, 1, 2]), np.array([0, 0, 1, 1, 2])
 
 
 class BoundaryConditions(NamedTuple):
@@ -72,19 +78,8 @@ class Rows:
     matrix: FloatArray
     #: (local, n_loads) float, column-major
     loads: FloatArray
-    #: number of the first row
-    start: int
     #: numbers of the first rows of the body's zones
     zones: tuple[int, ...] = (0,)
-
-
-@dataclass(frozen=True)
-class Assembly:
-    """The two systems of a body and the work that they took on this rank."""
-
-    normal: Rows
-    torsion: Rows
-    kernel_evaluations: int
 
 
 def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
@@ -139,3 +134,78 @@ def _numbers(collocated: BoolArray) -> IntArray:
         rows = np.cumsum(collocated[:, block]).reshape(-1, block.stop - block.start) - 1
         numbers[:, block] = np.where(collocated[:, block], rows, -1)
     return numbers
+
+
+def assemble(
+    zones: Sequence[Zone], dofs: Sequence[DofMap], rules: Quadrature, comm: MPI.Comm
+) -> tuple[Rows, Rows]:
+    """Return this rank's rows of the (r, z) and of the theta system.
+
+    Not collective. Nodes of all zones are shared out in equal runs, so a rank holds about 1/size of
+    the rows.
+
+    Parameters
+    ----------
+    dofs : of ``number_dofs``, one a zone.
+
+    Raises
+    ------
+    ComputationError : a node too close to an element that it does not belong to.
+    """
+    first = np.cumsum([0, *(len(zone.boundary.nodes) for zone in zones)])
+    begin, end = (rank * int(first[-1]) // comm.size for rank in (comm.rank, comm.rank + 1))
+    # number of the first row of each node in the (r, z) and in the theta system
+    equations = np.concatenate([zone.equation for zone in dofs])
+    counts = np.stack([(equations[:, block] >= 0).sum(axis=1) for block in SYSTEMS])
+    row = np.concatenate([np.zeros((2, 1), dtype=np.int64), np.cumsum(counts, axis=1)], axis=1)
+    heights, widths, n_loads = row[:, end] - row[:, begin], row[:, -1], zones[0].conditions.n_loads
+    # both systems in one array, column by column, the loads behind the last unknown
+    sizes = heights * (widths + n_loads)
+    entries = np.zeros(sizes.sum())
+    # of the components: where their system starts, its rows before those of this rank, its shape
+    systems = np.stack([[0, sizes[0]], row[:, begin], heights, widths])[:, [0, 0, 1]]
+    for zone, numbers, start in zip(zones, dofs, first[:-1].tolist(), strict=True):
+        nodes = np.arange(max(begin - start, 0), min(end - start, len(zone.boundary.nodes)))
+        _add_rows(zone, numbers, rules, nodes, systems, entries)
+    normal, torsion = (
+        Rows(columns[:, :width], columns[:, width:], tuple(zone_starts.tolist()))
+        for width, zone_starts, columns in (
+            (width, starts, part.reshape((height, width + n_loads), order="F"))
+            for width, height, starts, part in zip(
+                widths, heights, row[:, first[:-1]], np.split(entries, sizes[:1]), strict=True
+            )
+        )
+    )
+    return normal, torsion
+
+
+def _add_rows(
+    zone: Zone, dofs: DofMap, rules: Quadrature, nodes: IntArray, systems: IntArray,
+    entries: FloatArray,
+) -> None:  # fmt: skip
+    """Add the rows collocated at some nodes of a zone."""
+    boundary, (_, load, traction, _) = zone.boundary, zone.conditions
+    starts, before, heights, widths = systems
+    rows = np.where(dofs.equation[nodes] >= 0, dofs.equation[nodes] - before, -1)
+    collocated = (rows >= 0).any(axis=1)
+    nodes, rows = nodes[collocated], rows[collocated].T.copy()
+    # where displacements of an element's nodes are multiplied, and its traction, unknown or given
+    unknown = dofs.traction >= 0
+    of_traction = np.where(unknown, dofs.traction, np.where(load >= 0, widths + load, -1))
+    numbers = np.stack([*dofs.displacement[boundary.elements.T], of_traction], axis=2)
+    columns = np.where(numbers >= 0, starts[:, None] + heights[:, None] * numbers, -1)
+    factors = np.ones(columns.shape)
+    factors[:, :, 3] = np.where(unknown, -dofs.sign[:, None], traction) / zone.material.young
+    sources = np.ascontiguousarray(boundary.nodes[nodes][:, [0, 1, 1]])
+    own = integrate_rows(
+        sources, nodes, boundary, zone.material.poisson, rules,
+        columns.take(_DIRECTION, axis=1), factors.take(_DIRECTION, axis=1),
+        rows, entries,
+    )  # fmt: skip
+    # on the axis u_r = u_theta = 0, elsewhere the field that is subtracted goes with u over r
+    radius = sources[:, 0]
+    own[_DIRECTION != 1] *= np.divide(1.0, radius, where=radius > 0.0, out=np.zeros(len(nodes)))
+    row, column = rows[_COMPONENT], dofs.displacement[nodes].T[_DIRECTION]
+    at = (row >= 0) & (column >= 0)
+    place = starts[_DIRECTION, None] + heights[_DIRECTION, None] * column + row
+    entries[place[at]] += own[at]

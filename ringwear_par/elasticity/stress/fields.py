@@ -1,7 +1,6 @@
 """What is known of stresses in the bodies, after they have been computed or read."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,20 +42,6 @@ class BoundaryFields:
         apart = (self.elements[1:, [0, 2]] != self.elements[:-1, [2, 0]]).all(axis=1)
         zones = np.split(self.elements, np.flatnonzero(apart) + 1)
         return [np.arange(zone.min(), zone.max() + 1) for zone in zones]
-
-
-def joined(zones: Sequence[BoundaryFields]) -> BoundaryFields:
-    """Return the fields of the zones of a body as one."""
-    if len(zones) == 1:
-        return zones[0]
-    first = np.cumsum([0, *(len(zone.nodes) for zone in zones[:-1])])
-    elements = [zone.elements + shift for zone, shift in zip(zones, first, strict=True)]
-    fields = [
-        np.concatenate([getattr(zone, name) for zone in zones])
-        for name in ("face", "displacement", "traction", "pressure", "wear")
-    ]
-    nodes = np.concatenate([zone.nodes for zone in zones])
-    return BoundaryFields(nodes, np.concatenate(elements), *fields)
 
 
 @dataclass(frozen=True)
@@ -150,11 +135,6 @@ class StressHistory:
         """Number of layers of lower and upper, the body itself included; 0 of one without."""
         lower, upper = (len(body.z) + 1 if len(body.z) else 0 for body in self.interfaces)
         return lower, upper
-
-    @property
-    def none(self) -> "StressHistory":
-        """The same places without any state."""
-        return replace(self, states=())
 
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards

@@ -30,26 +30,23 @@ _ON_BOUNDARY = 1e-9
 
 
 def zones_of(
-    boundaries: Sequence[BoundaryMesh], points: FloatArray, sides: FloatArray | None = None
-) -> IntArray:
-    """Return the zone that each point (p, 2) is in, the nearest for points outside.
+    boundaries: Sequence[BoundaryMesh], points: FloatArray, sides: FloatArray
+) -> tuple[IntArray, BoolArray]:
+    """Return the zone that each point (p, 2) is in, the nearest for points outside; and if it is.
 
     Parameters
     ----------
-    sides : (p,) float, for points on interfaces 1 for the zone above, -1 for that below; 0, as
-        where there are none, for the one towards the contact face.
+    sides : (p,) float, for points on interfaces 1 for the zone above, -1 for that below, 0 for the
+        one towards the contact face.
     """
-    if len(boundaries) == 1:
-        return np.zeros(len(points), dtype=np.int64)
     size = np.ptp(np.concatenate([b.nodes for b in boundaries]), axis=0).max()
     distance = np.array([locate(boundary, points).distance for boundary in boundaries])
     inside = distance >= -_ON_BOUNDARY * size
-    zones = np.where(inside.any(axis=0), inside.argmax(axis=0), distance.argmax(axis=0))
-    if sides is not None:
-        height = np.array([boundary.nodes[:, 1].mean() for boundary in boundaries])
-        rank = np.where(inside, sides * height[:, None], -np.inf)
-        zones = np.where((sides != 0.0) & inside.any(axis=0), rank.argmax(axis=0), zones)
-    return zones
+    within = inside.any(axis=0)
+    height = np.array([boundary.nodes[:, 1].mean() for boundary in boundaries])
+    rank = np.where(inside, sides * height[:, None], -np.inf)
+    zones = np.where(sides != 0.0, rank.argmax(axis=0), inside.argmax(axis=0))
+    return np.where(within, zones, distance.argmax(axis=0)), within
 
 
 def edges(boundaries: Sequence[BoundaryMesh]) -> FloatArray:
@@ -62,13 +59,6 @@ def edges(boundaries: Sequence[BoundaryMesh]) -> FloatArray:
                 ends = boundary.elements[run[0], 0], boundary.elements[run[-1], 2]
                 run_ends.append(boundary.nodes[list(ends)])
     ends = np.unique(np.concatenate(run_ends), axis=0)
-    return ends[ends[:, 0] > 0.0]
-
-
-def held_corners(boundary: BoundaryMesh) -> FloatArray:
-    """Return (c, 2) mm, corners of a body's held face off the axis."""
-    fixed = boundary.elements[boundary.fixed]
-    ends = boundary.nodes[np.setxor1d(fixed[:, 0], fixed[:, 2])]
     return ends[ends[:, 0] > 0.0]
 
 
@@ -87,7 +77,9 @@ class Search:
     ) -> None:
         top = boundaries[0]
         nodes = np.concatenate([boundary.nodes for boundary in boundaries])
-        corners = held_corners(boundaries[-1])
+        fixed = boundaries[-1].elements[boundaries[-1].fixed]
+        corners = boundaries[-1].nodes[np.setxor1d(fixed[:, 0], fixed[:, 2])]
+        corners = corners[corners[:, 0] > 0.0]  # of the held face, off the axis
         self._around = np.concatenate([around, corners])
         grip = _AT_GRIP * np.ptp(nodes, axis=0).min()
         self._reach = np.repeat([exclude, max(exclude, grip)], [len(around), len(corners)])
@@ -105,14 +97,11 @@ class Search:
         inside = np.concatenate([columns.reshape(-1, 2), circles])
         middles = [boundary.nodes[boundary.elements[:, 1]] for boundary in boundaries]
         points = np.concatenate([inside, *middles])
-        zones = np.concatenate(
-            [zones_of(boundaries, inside), *(np.full(len(m), i) for i, m in enumerate(middles))]
-        )
+        zones, within = zones_of(boundaries, inside, np.zeros(len(inside)))
+        of_middles = np.repeat(np.arange(len(middles)), [len(m) for m in middles])
+        zones = np.concatenate([zones, of_middles])
         allowed = self.allows(points) & (points[:, 0] >= 0.0)
-        size = np.ptp(nodes, axis=0).max()
-        for i, boundary in enumerate(boundaries):
-            in_zone = allowed & (zones == i)
-            allowed[in_zone] = locate(boundary, points[in_zone]).distance >= -_ON_BOUNDARY * size
+        allowed[: len(inside)] &= within
         self._number = np.where(allowed, np.cumsum(allowed) - 1, -1)
         #: (s, 2) float, mm, and (s,) int, the zone of each
         self.points, self.zones = points[allowed], zones[allowed]

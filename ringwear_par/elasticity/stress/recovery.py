@@ -1,26 +1,177 @@
-"""Stress at points of both bodies, on their contact faces and where it is largest."""
+"""What boundary elements say of both bodies under a contact solution: on boundaries and inside."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
-from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
-from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.bem.body import (
+    BoundaryResponse,
+    body_zones,
+    in_case_frame,
+    solve_zones,
+)
+from ringwear_par.elasticity.bem.boundary import BoundaryMesh, node_wear, zone_meshes
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_slope
 from ringwear_par.elasticity.sections import BODIES, Body, BodyName
-from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
-from ringwear_par.elasticity.stress.fields import Interfaces, Largest, mises
+from ringwear_par.elasticity.stress.fields import (
+    FACES,
+    BoundaryFields,
+    Interfaces,
+    Largest,
+    mises,
+)
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
-from ringwear_par.elasticity.stress.zone import Influence, ZoneStress
+from ringwear_par.elasticity.stress.zone import ZoneStress
 from ringwear_par.parallel import together
 
 #: points that a rank does in one go; the same whatever the ranks, and so the digits
 _BLOCK = 64
+
+
+class BoundaryRecovery:
+    """The boundary fields of two bodies, for any contact solution, wear and elasticity.
+
+    Responses to unit loads are solved for when first needed, and anew for a body whose elements
+    have moved.
+
+    Parameters
+    ----------
+    bodies : lower and upper.
+    line : contact elements.
+    mesh : discretisation.
+    planes : mm, height of the contact plane of lower and upper in the frame of the case.
+    comm : communicator of the collective methods; every rank keeps the responses.
+    fine : of ``zone_meshes``.
+    """
+
+    def __init__(
+        self,
+        bodies: tuple[Body, Body],
+        line: ContactLine,
+        mesh: Mesh,
+        planes: tuple[float, float],
+        comm: MPI.Comm,
+        *,
+        fine: bool = False,
+    ) -> None:
+        self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
+        self._comm, self._fine = comm, fine
+        # of each body the wear and the slope that its responses are of
+        self._known: dict[int, tuple[FloatArray, list[BoundaryResponse]]] = {}
+
+    def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
+        """Return the responses of the zones of lower and upper, in the frame of the case.
+
+        Collective on comm.
+
+        Parameters
+        ----------
+        shape : (2, n) float, mm, wear that the elements have followed; None: none.
+
+        Raises
+        ------
+        ComputationError : the wear leaves too little of a body, or a factorisation failed.
+        """
+        line, mesh, (lower, upper) = self._line, self._mesh, self._bodies
+        shape = np.zeros((2, line.n)) if shape is None else shape
+        slope = pair_slope((lower.section, upper.section), line, mesh, shape)
+        for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
+            at = np.stack([own, shape[i]])
+            # the slopes and the shape are the same on all ranks, and so is the decision
+            if i in self._known and np.array_equal(self._known[i][0], at):
+                continue
+            self._known.pop(i, None)  # not two at a time
+            worn = node_wear(line, shape[i])
+            zones = body_zones(body, line, mesh, worn, own, fine=self._fine)
+            found, _ = solve_zones(zones, mesh.quadrature_tolerance, self._comm)
+            shown = [in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found]
+            self._known[i] = at, shown
+        return [self._known[i][1] for i in range(2)]
+
+    def fields(
+        self,
+        pressure: FloatArray,
+        approach: float,
+        friction: float,
+        wear: FloatArray,
+        shape: FloatArray | None = None,
+    ) -> tuple[BoundaryFields, BoundaryFields]:
+        """Return the fields of lower and upper. Collective on comm, the same on all ranks.
+
+        Displaced by their fields, the bodies touch at the mid-points of elements under pressure,
+        measured along the common normal: displacements are those of the collocated equations, and
+        the top of the upper body has come down by the approach. All of the contact slides, so that
+        friction is mu p everywhere.
+
+        Parameters
+        ----------
+        pressure : (n,) float, MPa, of the contact solution.
+        approach : mm, likewise.
+        friction : mu.
+        wear : (2, n) float, mm, wear of lower and upper, which lowers the nodes shown.
+        shape : (2, n) float, mm, wear that the elastic bodies have followed; None: none.
+
+        Raises
+        ------
+        ComputationError : the wear leaves too little of a body, or a factorisation failed.
+        """
+        lower, upper = (
+            self._of_body(i, units, pressure, approach, friction, wear[i])
+            for i, units in enumerate(self.responses(shape))
+        )
+        return lower, upper
+
+    def _of_body(
+        self, i: int, units: list[BoundaryResponse], p: FloatArray, approach: float,
+        friction: float, wear: FloatArray,
+    ) -> BoundaryFields:  # fmt: skip
+        loads = np.stack([p, p, friction * p])
+        zones, first = [], 0
+        for unit, worn in zip(units, self._worn_zones(i, wear), strict=True):
+            # unit loads summed: one load is left, that of the case
+            displacement, traction = (
+                np.einsum("mcn,cn->mc", values, loads)
+                for values in (unit.displacement, unit.traction)
+            )
+            # the same force on elements that wear has tilted, and so lengthened
+            traction[worn.contact] *= (_lengths(unit.boundary) / _lengths(worn))[worn.contact, None]
+            shown = in_case_frame(replace(unit, boundary=worn), BODIES[i], self._planes[i]).boundary
+            pressure, depth = np.zeros((2, len(worn.elements)))
+            if len(worn.contact):
+                pressure[worn.contact], depth[worn.contact] = p, wear
+            face = np.zeros(len(worn.elements), dtype=np.int64)
+            for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
+                number = "interface" if name in ("above", "below") else name
+                face[getattr(worn, name)] = FACES.index(number)
+            displacement /= self._bodies[i].young
+            displacement[:, 1] -= approach if i == 1 else 0.0
+            elements, first = shown.elements + first, first + len(shown.nodes)
+            zones.append((shown.nodes, elements, face, displacement, traction, pressure, depth))
+        return BoundaryFields(*(np.concatenate(parts) for parts in zip(*zones, strict=True)))
+
+    def _worn_zones(self, i: int, wear: FloatArray) -> list[BoundaryMesh]:
+        """Return the boundary elements of a body after (n,) mm of wear, in its own frame.
+
+        Mid-points of contact elements lie where gaps are taken, on the worn face.
+        """
+        section, line = self._bodies[i].section, self._line
+        first, *layers_below = zone_meshes(
+            section, line, self._mesh, node_wear(line, wear), fine=self._fine
+        )
+        nodes = first.nodes.copy()
+        middle = first.elements[first.contact, 1]
+        nodes[middle, 0] = line.gap_point
+        nodes[middle, 1] = section.depth(line.gap_point) - wear
+        return [first._replace(nodes=nodes), *layers_below]
+
+
+def _lengths(boundary: BoundaryMesh) -> FloatArray:
+    ends = boundary.nodes[boundary.elements]
+    return np.hypot(*(ends[:, 2] - ends[:, 0]).T)
 
 
 class BodyStress(NamedTuple):
@@ -50,33 +201,25 @@ class StressPoints(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What is known of one body: points, their zones, and influences."""
+class _UnitStress:
+    """Stress of one body for unit loads (..., 6, n), see ``ZoneStress``."""
 
-    #: its points come first
+    #: whose points come before those asked for
     search: Search
+    #: (p, 2) and (p,), points, their zones, and elements of the contact line over or under them, -1
+    #: for none
     points: FloatArray
     zones: IntArray
-    #: of the points, elements of the contact line over or under them, -1 for none
     under: IntArray
-    #: numbers of points and their influences; those that are this rank's
-    blocks: list[tuple[IntArray, Influence]]
-    #: of the contact elements
-    surface: Influence
-    #: of the elements above and below each interface
-    interfaces: list[tuple[Influence, Influence]]
-    #: of these elements, as ``under``
+    #: numbers of points and stress there; those that are this rank's
+    blocks: list[tuple[IntArray, FloatArray]]
+    #: (n, 6, n), of the contact elements
+    surface: FloatArray
+    #: (i, 2, m, 6, n), of the elements above and below each interface, and (m,) as ``under``
+    interfaces: FloatArray
     under_interfaces: IntArray
     #: number of zones
     layers: int
-
-    def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
-        """Return (p, 6) MPa at all points. Collective on comm."""
-        values = np.zeros((len(self.points), 6))
-        for numbers, influence in self.blocks:
-            values[numbers] = influence.stress(pressure, shear)
-        comm.Allreduce(MPI.IN_PLACE, values, MPI.SUM)  # each is known to one rank: it is exact
-        return values
 
     def largest_of_zones(self, values: FloatArray) -> FloatArray:
         """Return the largest of von Mises stresses in each zone; (0,) where there is one."""
@@ -89,8 +232,8 @@ class _Known:
 class StressRecovery:
     """The stress in two bodies, for any contact solution and wear.
 
-    Points are integrated over when first needed, shared out over the ranks, and anew for a body
-    whose elements have moved; from then on a state takes one product.
+    Points are integrated over when first needed, shared out over the ranks, and anew where elements
+    have moved; from then on a state takes one product.
 
     Parameters
     ----------
@@ -113,11 +256,10 @@ class StressRecovery:
         exclude: float,
         comm: MPI.Comm,
     ) -> None:
-        self._planes, self._points, self._exclude, self._comm = planes, points, exclude, comm
-        self._line = line
+        self._points, self._exclude, self._comm, self._line = points, exclude, comm, line
         self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
-        self._shape: FloatArray | None = None
-        self._known: tuple[_Known, _Known] | None = None
+        self._shape = np.empty(0)
+        self._units: list[_UnitStress] = []
 
     def stresses(
         self,
@@ -140,76 +282,70 @@ class StressRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        if shape is not None and not shape.any():
-            shape = None
-        if self._known is None or not _same(shape, self._shape):
-            self._known = None  # not two at a time
-            self._known = self._integrated(shape)
-            self._shape = None if shape is None else shape.copy()
-        shear = friction * pressure
+        shape = np.zeros((2, self._line.n)) if shape is None else shape
+        if not self._units or not np.array_equal(shape, self._shape):
+            self._units, self._shape = [], shape.copy()  # not two at a time
+            bodies = self._boundaries.responses(shape)
+            around = np.concatenate([edges([zone.boundary for zone in body]) for body in bodies])
+            self._units = [self._integrated(i, body, around) for i, body in enumerate(bodies)]
         lower, upper = (
-            self._of_body(known, pressure, shear, None if gone is None else gone[i])
-            for i, known in enumerate(self._known)
+            self._of_body(units, pressure, friction, None if gone is None else gone[i])
+            for i, units in enumerate(self._units)
         )
         return lower, upper
 
     def _of_body(
-        self, known: _Known, pressure: FloatArray, shear: FloatArray, gone: BoolArray | None
+        self, units: _UnitStress, pressure: FloatArray, friction: float, gone: BoolArray | None
     ) -> BodyStress:
-        stress = known.stress(pressure, shear, self._comm)
-        surface = known.surface.stress(pressure, shear)
-        along = np.array(
-            [[s.stress(pressure, shear) for s in sides] for sides in known.interfaces]
-        ).reshape(len(known.interfaces), 2, len(known.under_interfaces), 6)
+        def under_load(unit: FloatArray) -> FloatArray:
+            stress: FloatArray = unit @ pressure
+            stress[..., 4:] *= friction
+            return stress
+
+        stress = np.zeros((len(units.points), 6))
+        for numbers, block in units.blocks:
+            stress[numbers] = under_load(block)
+        self._comm.Allreduce(MPI.IN_PLACE, stress, MPI.SUM)  # each is known to one rank
+        surface, along = under_load(units.surface), under_load(units.interfaces)
         if gone is not None and gone.any():
-            lost = np.zeros((known.layers, gone.shape[1] + 1), dtype=bool)
+            lost = np.zeros((units.layers, gone.shape[1] + 1), dtype=bool)
             lost[:-1, :-1] = gone  # nothing of the body itself, nothing beside the contact (-1)
-            stress[lost[known.zones, known.under]] = np.nan
+            stress[lost[units.zones, units.under]] = np.nan
             surface[gone[0]] = np.nan
-            along[np.repeat(lost[:-1, None, known.under_interfaces], 2, axis=1)] = np.nan
-        n_search = len(known.search.points)
+            along[np.repeat(lost[:-1, None, units.under_interfaces], 2, axis=1)] = np.nan
+        n_search = len(units.search.points)
         values = mises(stress)
-        values[n_search:][~known.search.allows(known.points[n_search:])] = np.nan
-        return BodyStress(
-            stress[n_search:],
-            surface,
-            known.search.largest(known.points, known.zones, values),
-            along,
-            known.largest_of_zones(values),
-        )
+        values[n_search:][~units.search.allows(units.points[n_search:])] = np.nan
+        largest = units.search.largest(units.points, units.zones, values)
+        in_layers = units.largest_of_zones(values)
+        return BodyStress(stress[n_search:], surface, largest, along, in_layers)
 
-    def _integrated(self, shape: FloatArray | None) -> tuple[_Known, _Known]:
-        """Return the influences of both bodies. Collective on comm."""
-        zones = [
-            [in_case_frame(unit, BODIES[i], self._planes[i]) for unit in units]
-            for i, units in enumerate(self._boundaries.responses(shape))
-        ]
-        around = np.concatenate([edges([zone.boundary for zone in body]) for body in zones])
-        lower, upper = (self._of_zones(i, body, around) for i, body in enumerate(zones))
-        return lower, upper
-
-    def _of_zones(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _Known:
+    def _integrated(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _UnitStress:
+        """Return the stress of lower (0) or upper (1) for unit loads. Collective on comm."""
         boundaries, stresses = [zone.boundary for zone in zones], list(map(ZoneStress, zones))
         search = Search(boundaries, around, self._exclude)
         wanted, sides = self._points[i]
         points = np.concatenate([search.points, wanted])
-        numbers = np.concatenate([search.zones, zones_of(boundaries, wanted, sides)])
+        numbers = np.concatenate([search.zones, zones_of(boundaries, wanted, sides)[0]])
         parts = [
             (zone, of_zone[first : first + _BLOCK])
             for k, zone in enumerate(stresses)
             for of_zone in [np.flatnonzero(numbers == k)]
             for first in range(0, len(of_zone), _BLOCK)
         ]
-        mine = parts[self._comm.rank :: self._comm.size]
         with together(self._comm):
+            mine = parts[self._comm.rank :: self._comm.size]
             blocks = [(rows, zone.at(points[rows])) for zone, rows in mine]
-            faces = [zone.surface for zone in stresses]
+        faces, n = [zone.surface for zone in stresses], self._line.n
         middles = boundaries[0].nodes[boundaries[0].elements[boundaries[0].below, 1], 0]
-        return _Known(
+        interfaces = np.empty((len(zones) - 1, 2, len(middles), 6, n))
+        for at, (outer, inner) in enumerate(itertools.pairwise(range(len(zones)))):
+            towards, away = (0, 1) if i == 0 else (1, 0)  # the contact
+            interfaces[at, towards] = faces[outer][boundaries[outer].below]
+            interfaces[at, away] = faces[inner][boundaries[inner].above]
+        return _UnitStress(
             search, points, numbers, self._line.element_at(points[:, 0]), blocks,
-            _at(faces[0], boundaries[0].contact),
-            _beside_interfaces(boundaries, faces, BODIES[i]), self._line.element_at(middles),
-            len(zones),
+            faces[0][boundaries[0].contact], interfaces, self._line.element_at(middles), len(zones),
         )  # fmt: skip
 
 
@@ -227,24 +363,3 @@ def interfaces(
     upward = 1.0 if which == "lower" else -1.0
     heights = [plane + upward * middle[0, 1] for middle in middles]
     return Interfaces(middles[0][:, 0] if middles else np.empty(0), np.array(heights))
-
-
-def _at(influence: Influence, elements: IntArray) -> Influence:
-    return Influence(influence.normal[elements], influence.torsion[elements])
-
-
-def _beside_interfaces(
-    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: BodyName
-) -> list[tuple[Influence, Influence]]:
-    """Return the stress above and below each interface, from those on the zones' boundaries."""
-    sides = []
-    for i, (outer, inner) in enumerate(itertools.pairwise(boundaries)):
-        towards, away = _at(faces[i], outer.below), _at(faces[i + 1], inner.above)
-        sides.append((towards, away) if which == "lower" else (away, towards))
-    return sides
-
-
-def _same(first: FloatArray | None, second: FloatArray | None) -> bool:
-    if first is None or second is None:
-        return first is second
-    return bool(np.array_equal(first, second))

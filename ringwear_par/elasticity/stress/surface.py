@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.sections import CORNER_ANGLE
 
@@ -22,21 +23,13 @@ from ringwear_par.elasticity.sections import CORNER_ANGLE
 _WINDOW = 4
 
 
-def mid_stress(
-    boundary: BoundaryMesh, poisson: float, displacement: FloatArray, traction: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the stress at the mid-points of elements, for each load. Not collective.
+def mid_stress(response: BoundaryResponse) -> FloatArray:
+    """Return (k, 6, n) MPa, the stress at the mid-points of elements for each load.
 
-    Parameters
-    ----------
-    displacement : (m, 3, n) float, mm, of nodes in r, z and theta at Young's modulus 1.
-    traction : (k, 3, n) float, MPa, likewise of elements.
-
-    Returns
-    -------
-    normal : (k, 4, n) float, MPa, rr, tt, zz, rz.
-    torsion : (k, 2, n) float, MPa, rt, tz.
+    Components are rr, tt, zz, rz, rt, tz. Not collective.
     """
+    boundary, poisson = response.boundary, response.material.poisson
+    displacement, traction = response.material.young * response.displacement, response.traction
     nodes, (first, middle, last) = boundary.nodes, boundary.elements.T
     along = nodes[last] - nodes[first]
     length = np.hypot(*along.T)
@@ -50,18 +43,19 @@ def mid_stress(
     modulus, lateral = 1.0 / (1.0 - poisson**2), poisson / (1.0 - poisson) * nn
     ss = modulus * (strain + poisson * hoop) + lateral
     tt = modulus * (hoop + poisson * strain) + lateral
-    normal = np.stack(
+    st = 0.5 / (1.0 + poisson) * (slope[:, 2] - displacement[middle, 2] / r * sr)
+    nt = traction[:, 2]
+    return np.stack(
         [
             ss * sr**2 + nn * sz**2 + 2.0 * ns * sr * sz,
             tt,
             ss * sz**2 + nn * sr**2 - 2.0 * ns * sr * sz,
             (ss - nn) * sr * sz + ns * (sz**2 - sr**2),
+            st * sr + nt * sz,
+            st * sz - nt * sr,
         ],
         axis=1,
     )
-    st = 0.5 / (1.0 + poisson) * (slope[:, 2] - displacement[middle, 2] / r * sr)
-    nt = traction[:, 2]
-    return normal, np.stack([st * sr + nt * sz, st * sz - nt * sr], axis=1)
 
 
 @dataclass(frozen=True)
@@ -116,31 +110,20 @@ class Faces:
 
 def faces(boundary: BoundaryMesh) -> Faces:
     """Return the smooth runs of a boundary's elements. Not collective."""
-    nodes, elements = boundary.nodes, boundary.elements
-    k = len(elements)
+    nodes, elements, k = boundary.nodes, boundary.elements, len(boundary.elements)
     kind = np.zeros(k, dtype=np.int64)
     for i, name in enumerate(("contact", "fixed", "above", "below"), 1):
         kind[getattr(boundary, name)] = i
-    follow, starts = _following(elements)
     along = nodes[elements[:, 2]] - nodes[elements[:, 0]]
     length, angle = np.hypot(*along.T), np.arctan2(along[:, 1], along[:, 0])
-
-    def breaks(e: int) -> bool:
-        """Tell whether a run ends behind an element."""
-        neighbour = follow[e]
-        if neighbour < 0 or kind[neighbour] != kind[e]:
-            return True
-        turn = (angle[neighbour] - angle[e] + math.pi) % (2.0 * math.pi) - math.pi
-        return bool(abs(turn) > CORNER_ANGLE)
-
-    heads = [*starts, *(int(follow[e]) for e in range(k) if follow[e] >= 0 and breaks(e))]
-    runs = []
-    for head in heads:
-        run, e = [head], head
-        while not breaks(e) and follow[e] != head:
-            e = int(follow[e])
-            run.append(e)
-        runs.append(np.array(run))
+    # one after another in the direction of travel
+    order = np.arange(k) if elements[0, 2] == elements[1, 0] else np.arange(k)[::-1]
+    before = np.roll(order, 1)
+    turn = (angle[order] - angle[before] + math.pi) % (2.0 * math.pi) - math.pi
+    starts = (kind[order] != kind[before]) | (np.abs(turn) > CORNER_ANGLE)
+    starts |= elements[order, 0] != elements[before, 2]
+    first = int(starts.argmax())
+    runs = np.split(np.roll(order, -first), np.flatnonzero(np.roll(starts, -first))[1:])
     number, middle, sizes = np.zeros(k, np.int64), np.zeros(k), np.tile(length, (3, 1))
     for i, members in enumerate(runs):
         number[members] = i
@@ -149,10 +132,3 @@ def faces(boundary: BoundaryMesh) -> Faces:
         between = np.interp(ends[:-1], middle[members], length[members])
         sizes[2, members[:-1]] = sizes[0, members[1:]] = between
     return Faces(tuple(runs), number, middle, sizes)
-
-
-def _following(elements: IntArray) -> tuple[IntArray, list[int]]:
-    """Return the element behind each, -1 for none, and those that none comes before."""
-    by_first = {int(first): e for e, first in enumerate(elements[:, 0])}
-    follow = np.array([by_first.get(int(last), -1) for last in elements[:, 2]])
-    return follow, sorted(set(range(len(elements))) - set(follow.tolist()))

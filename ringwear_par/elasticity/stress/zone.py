@@ -1,58 +1,41 @@
 """Stress at points of a zone, inside and on its boundary, for unit loads on the contact line.
 
-Inside it is Somigliana's identity (see ``stress_rows``). Closer to the boundary than a good part of
-an element, tractions that are constant on elements show through: there the stress is interpolated
-along the way inwards, between that on the surface (see ``surface_stress``) and those deeper, or,
-where the body is thinner than that, the one on its other side.
+Inside it is Somigliana's identity. Closer to the boundary than a good part of an element, tractions
+that are constant on elements show through: there the stress is interpolated along the way inwards,
+between that on the surface (see ``mid_stress``) and those deeper, or, where the body is thinner
+than that, the one on its other side.
 
 Where discs touch, friction jumps on the axis, from one direction to the other: what is under it
 depends on r over the depth, of which the way inwards shows nothing. Beside the axis the integrals
 are taken, as tractions hardly vary over the element there; on it stresses are as symmetry has them.
 """
 
-import math
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.elasticity._rings import stress_rows
+from ringwear_par.elasticity._rings import integrate_rows
 from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.quadrature import quadrature
-from ringwear_par.elasticity.stress.surface import Faces, faces, mid_stress
-from ringwear_par.errors import ComputationError
+from ringwear_par.elasticity.stress.surface import faces, mid_stress
 
 #: least depth, in element lengths, at which the integrals are right
 _DEEP = 0.6
-#: least depth, in element lengths, at which the integrals are taken beside the axis
-_SHALLOW = 1e-3
+#: least depth, over that, at which the integrals are taken beside the axis
+_SHALLOW = 1.0 / 600.0
 #: share of the body's size within which a point lies on its boundary
 _ON_BOUNDARY = 1e-9
 #: share of an element's length by which a point may lie beyond it: faces are curved, it is not
 _BEYOND = 0.02
-#: points that are integrated and multiplied together
-_BATCH = 32
 _TOLERANCE = 1e-8
+#: component of stress and direction on the element of each pair of kernels
+_COMPONENT = np.array([0, 1, 2, 3, 0, 1, 2, 3, 4, 5])
+_DIRECTION = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2, 2])
 
 
-@dataclass(frozen=True)
-class Influence:
-    """Stress at points for loads on the contact elements; the body's modulus does not matter."""
-
-    #: (p, 4, n) float, rr, tt, zz, rz for unit pressures; NaN at points out of it
-    normal: FloatArray
-    #: (p, 2, n) float, rt, tz for unit shear, likewise
-    torsion: FloatArray
-
-    def stress(self, pressure: FloatArray, shear: FloatArray) -> FloatArray:
-        """Return (p, 6) MPa, rr, tt, zz, rz, rt, tz under pressures and shears (n,), MPa."""
-        return np.concatenate([self.normal @ pressure, self.torsion @ shear], axis=1)
-
-
-@dataclass(frozen=True)
-class Located:
+class Located(NamedTuple):
     """Where points lie relative to a boundary."""
 
     #: (p,) int, the nearest
@@ -63,6 +46,11 @@ class Located:
     foot: FloatArray
     #: (p,) float, mm, to it, negative outside
     distance: FloatArray
+
+    def of(self, points: IntArray) -> "Located":
+        """Return where some of the points lie."""
+        element, t, foot, distance = self
+        return Located(element[points], t[points], foot[points], distance[points])
 
 
 def locate(boundary: BoundaryMesh, points: FloatArray) -> Located:
@@ -88,198 +76,168 @@ def locate(boundary: BoundaryMesh, points: FloatArray) -> Located:
     return Located(element, t, foot, np.where(inside, distance, -distance))
 
 
-class _Recipe:
-    """How stress at points (p, 2) is made of integrals at samples and stresses at mid-points."""
-
-    def __init__(self, boundary: BoundaryMesh, along: Faces, points: FloatArray) -> None:
-        self._boundary, self._faces = boundary, along
-        #: where integrals are taken, for which point, and what they count there
-        self.samples: list[FloatArray] = []
-        self.of_point: list[int] = []
-        self.weights: list[float] = []
-        #: points, elements, and what the stresses at their mid-points count there
-        self.surface: list[tuple[int, IntArray, FloatArray]] = []
-        at = locate(boundary, points)
-        thin = _ON_BOUNDARY * np.ptp(boundary.nodes, axis=0).max()
-        #: (p,) bool, points on the axis
-        self.on_axis: BoolArray = points[:, 0] <= thin
-        loaded = np.concatenate([boundary.contact, boundary.above, boundary.below])
-        ends = np.sort(boundary.nodes[boundary.elements[loaded][:, [0, 2]], 0], axis=1)
-        first = ends[:, 0] <= thin
-        #: elements at the axis that friction goes through, and how far they reach, mm
-        self._at_axis = dict(zip(loaded[first].tolist(), ends[first, 1].tolist(), strict=True))
-        size = self._faces.size(at.element, at.t)
-        #: (p,) bool, points that are not in the body
-        self.outside: BoolArray = at.distance < -np.maximum(thin, _BEYOND * size)
-        inside = at.distance >= _DEEP * size
-        for p in np.flatnonzero(inside):
-            self._integrate(p, points[p], 1.0)
-        for p in np.flatnonzero(~inside & ~self.outside):
-            foot = at.foot[p], int(at.element[p]), float(at.t[p])
-            if at.distance[p] <= thin:
-                self._take_surface(p, *foot[1:], 1.0)
-            else:
-                self._interpolate(p, points[p], *foot, float(at.distance[p]), _DEEP * size[p])
-
-    def _integrate(self, point: int, sample: FloatArray, weight: float) -> None:
-        self.samples.append(sample)
-        self.of_point.append(point)
-        self.weights.append(weight)
-
-    def _take_surface(self, point: int, element: int, t: float, weight: float) -> None:
-        elements, weights = self._faces.weights(element, t)
-        self.surface.append((point, elements, weight * weights))
-
-    def _interpolate(
-        self, p: int, point: FloatArray, foot: FloatArray, element: int, t: float,
-        distance: float, deep: float,
-    ) -> None:  # fmt: skip
-        """Make the stress at a point near the surface of those on the way inwards."""
-        inwards = (point - foot) / distance
-        far, far_element, far_t = self._opposite(point, inwards)
-        far += distance
-        far_deep = 0.0
-        if far_element >= 0:
-            far_deep = _DEEP * float(self._faces.size(np.array(far_element), np.array(far_t)))
-        if far <= deep + far_deep:
-            depths, opposite = [0.0, far], True
-        elif far <= 2.0 * deep + far_deep:
-            depths, opposite = [0.0, far * deep / (deep + far_deep), far], True
-        else:
-            depths, opposite = [0.0, deep, 2.0 * deep], False
-        samples = np.array(
-            [foot + depth * inwards for depth in (depths[1:-1] if opposite else depths[1:])]
-        ).reshape(-1, 2)
-        if not self._right(samples):  # a corner is as near: what the integrals give, blended
-            share = _smooth(distance / deep)
-            self._integrate(p, point, share)
-            self._take_surface(p, element, t, 1.0 - share)
-            return
-        away = 1.0
-        if element in self._at_axis and distance > _SHALLOW / _DEEP * deep:
-            share = 2.0 * float(point[0]) / self._at_axis[element] - 1.0  # from its middle on
-            away = _smooth(min(max(share, 0.0), 1.0))
-            self._integrate(p, point, 1.0 - away)
-        weights = [
-            away * math.prod((distance - node) / (depth - node) for node in depths if node != depth)
-            for depth in depths
-        ]
-        self._take_surface(p, element, t, weights[0])
-        if opposite:
-            self._take_surface(p, far_element, far_t, weights[-1])
-            weights = weights[:-1]
-        for sample, weight in zip(samples, weights[1:], strict=True):
-            self._integrate(p, sample, weight)
-
-    def _right(self, samples: FloatArray) -> bool:
-        """Tell whether samples are inside, and so deep that the integrals are right."""
-        if len(samples) == 0:
-            return True
-        if samples[:, 0].min() < 0.0:
-            return False
-        at = locate(self._boundary, samples)
-        return bool((at.distance >= 0.9 * _DEEP * self._faces.size(at.element, at.t)).all())
-
-    def _opposite(self, point: FloatArray, way: FloatArray) -> tuple[float, int, float]:
-        """Return how far it is from a point along a way to the boundary, the element, the place."""
-        first = self._boundary.nodes[self._boundary.elements[:, 0]] - point
-        along = self._boundary.nodes[self._boundary.elements[:, 2]] - point - first
-        across = way[0] * along[:, 1] - way[1] * along[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = (first[:, 0] * along[:, 1] - first[:, 1] * along[:, 0]) / across
-            t = (first[:, 0] * way[1] - first[:, 1] * way[0]) / across
-        hit = (t >= 0.0) & (t <= 1.0) & (far > 0.0)
-        if not hit.any():  # towards the axis
-            return np.inf, -1, 0.0
-        e = int(np.argmin(np.where(hit, far, np.inf)))
-        return float(far[e]), e, float(t[e])
-
-
-def _smooth(x: float) -> float:
-    """Return a smooth step from 0 to 1 with x, level at both ends."""
-    return x * x * (3.0 - 2.0 * x)
-
-
-@dataclass(frozen=True)
 class ZoneStress:
-    """The stress in a zone and on its boundary, for all loads of its body. Not collective."""
+    """The stress in a zone and on its boundary, for all loads of its body. Not collective.
 
-    #: displacements and tractions on the boundary, for each load
-    zone: BoundaryResponse
+    Stresses (..., 6, n) are rr, tt, zz, rz for unit pressures and rt, tz for unit shear, in MPa;
+    the body's modulus does not matter.
 
-    @cached_property
-    def surface(self) -> Influence:
-        """The stress at the mid-points of the elements."""
-        zone = self.zone
-        displacement = zone.material.young * zone.displacement
-        return Influence(
-            *mid_stress(zone.boundary, zone.material.poisson, displacement, zone.traction)
-        )
+    Parameters
+    ----------
+    zone : displacements and tractions on the boundary, for each load.
+    """
 
-    @cached_property
-    def _faces(self) -> Faces:
-        return faces(self.zone.boundary)
+    def __init__(self, zone: BoundaryResponse) -> None:
+        self._boundary, self._poisson = zone.boundary, zone.material.poisson
+        self._faces = faces(zone.boundary)
+        #: (k, 6, n) MPa, the stress at the mid-points of the elements
+        self.surface = mid_stress(zone)
+        # (3, m + k, n), displacements at Young's modulus 1 of the zone, and tractions, along r, z
+        # and theta
+        both = zone.material.young * zone.displacement, zone.traction
+        self._values = np.concatenate(both).transpose(1, 0, 2).copy()
+        self._thin = _ON_BOUNDARY * np.ptp(zone.boundary.nodes, axis=0).max()
 
-    @cached_property
-    def _values(self) -> tuple[FloatArray, FloatArray]:
-        """Boundary values in the order of ``stress_rows``, (2 m + 2 k, n), (m + k, n).
-
-        Displacements are those at Young's modulus 1 of the zone.
-        """
-        n = self.zone.displacement.shape[2]
-        values = self.zone.material.young * self.zone.displacement, self.zone.traction
-        return (
-            np.concatenate([v[:, :2].reshape(-1, n) for v in values]),
-            np.concatenate([v[:, 2] for v in values]),
-        )
-
-    def at(self, points: FloatArray) -> Influence:
-        """Return the stress at points.
+    def at(self, points: FloatArray) -> FloatArray:
+        """Return the stress at points, (p, 6, n); NaN at points outside.
 
         Parameters
         ----------
         points : (p, 2) float, mm, r and z in the frame of the zone's boundary.
-        """
-        n, p = self.zone.displacement.shape[2], len(points)
-        recipe = _Recipe(self.zone.boundary, self._faces, points)
-        normal, torsion = np.zeros((p, 4, n)), np.zeros((p, 2, n))
-        for point, elements, weights in recipe.surface:
-            normal[point] += np.tensordot(weights, self.surface.normal[elements], 1)
-            torsion[point] += np.tensordot(weights, self.surface.torsion[elements], 1)
-        if recipe.samples:
-            self._add_integrals(recipe, normal, torsion)
-        normal[recipe.on_axis, :2] = normal[recipe.on_axis, :2].mean(axis=1, keepdims=True)
-        normal[recipe.on_axis, 3] = torsion[recipe.on_axis] = 0.0
-        normal[recipe.outside] = torsion[recipe.outside] = np.nan
-        return Influence(normal, torsion)
 
-    def _add_integrals(self, recipe: _Recipe, normal: FloatArray, torsion: FloatArray) -> None:
-        """Add the integrals at samples to the influences of their points."""
-        boundary, rules = self.zone.boundary, quadrature(_TOLERANCE)
-        samples, count = np.array(recipe.samples), min(_BATCH, len(recipe.samples))
-        all_rows = [
-            np.empty((count, components, len(values)))
-            for components, values in zip((4, 2), self._values, strict=True)
+        Raises
+        ------
+        ComputationError : points are too close to elements that are long for that.
+        """
+        at = locate(self._boundary, points)
+        size = self._faces.size(at.element, at.t)
+        outside = at.distance < -np.maximum(self._thin, _BEYOND * size)
+        on_face = ~outside & (at.distance <= self._thin)
+        inside = at.distance >= _DEEP * size
+        stress = np.zeros((len(points), 6, self._values.shape[2]))
+        for p in np.flatnonzero(on_face):
+            stress[p] = self._on_surface(at.element[p], at.t[p])
+        near = np.flatnonzero(~outside & ~on_face & ~inside)
+        if len(near):
+            stress[near] = self._near_surface(points[near], at.of(near))
+        if inside.any():
+            stress[inside] = self._integrated(points[inside])
+        on_axis = points[:, 0] <= self._thin
+        stress[on_axis, :2] = stress[on_axis, :2].mean(axis=1, keepdims=True)
+        stress[on_axis, 3:] = 0.0
+        stress[outside] = np.nan
+        return stress
+
+    def _near_surface(self, points: FloatArray, at: Located) -> FloatArray:
+        """Return the stress at points too near to the surface for integrals, (p, 6, n).
+
+        By parabolas through the surface stress, and the integrals at twice the depth from which on
+        they are right and at that depth; where the body is thinner, through that on its other side.
+        """
+        depth, deep = at.distance, _DEEP * self._faces.size(at.element, at.t)
+        inwards = (points - at.foot) / depth[:, None]
+        far, far_element, far_t = self._opposite(points, inwards)
+        far += depth
+        both = deep + _DEEP * self._faces.size(far_element, far_t)
+        thick, thin = far > deep + both, far <= both
+        middle, end = np.where(thick, deep, far * deep / both), np.where(thick, 2.0 * deep, far)
+        at_middle, at_end = (at.foot + x[:, None] * inwards for x in (middle, end))
+        surface = np.where(thin, 1.0, 1.0 - depth / middle) * (1.0 - depth / end)
+        inner = np.where(thin, 0.0, depth * (end - depth) / (middle * (end - middle)))
+        last = 1.0 - surface - inner
+        # at a corner, which is as near, what the integrals give at the point itself
+        corner = ~thin & ~(self._is_deep(at_middle) & (~thick | self._is_deep(at_end)))
+        share = _smooth(np.where(corner, depth / deep, self._beside_axis(points, at, deep)))
+        away = 1.0 - share
+        surface, inner, last = (
+            np.where(corner, x, y) * away for x, y in ((1.0, surface), (0.0, inner), (0.0, last))
+        )
+        terms = ((share, points), (inner, at_middle), (np.where(thick, last, 0.0), at_end))
+        stress = np.zeros((len(points), 6, self._values.shape[2]))
+        for weights, places in terms:
+            chosen = np.flatnonzero(weights)
+            if len(chosen):
+                stress[chosen] += weights[chosen, None, None] * self._integrated(places[chosen])
+        for p in range(len(points)):
+            stress[p] += surface[p] * self._on_surface(at.element[p], at.t[p])
+            if not thick[p]:
+                stress[p] += last[p] * self._on_surface(far_element[p], far_t[p])
+        return stress
+
+    def _on_surface(self, element: int, t: float) -> FloatArray:
+        """Return (6, n), the stress at a place of an element."""
+        elements, weights = self._faces.weights(element, t)
+        return np.tensordot(weights, self.surface[elements], 1)
+
+    def _beside_axis(self, points: FloatArray, at: Located, deep: FloatArray) -> FloatArray:
+        """Return where integrals count near the surface beside the axis, as friction jumps there.
+
+        1 in the inner half of an element at the axis that friction goes through, 0 at its end.
+        """
+        boundary = self._boundary
+        loaded = np.concatenate([boundary.contact, boundary.above, boundary.below])
+        ends = np.sort(boundary.nodes[boundary.elements[:, [0, 2]], 0], axis=1)[at.element]
+        beside = np.isin(at.element, loaded) & (ends[:, 0] <= self._thin)
+        beside &= at.distance > _SHALLOW * deep
+        return np.where(beside, np.clip(2.0 - 2.0 * points[:, 0] / ends[:, 1], 0.0, 1.0), 0.0)
+
+    def _is_deep(self, samples: FloatArray) -> BoolArray:
+        """Tell which samples are inside, and so deep that the integrals are right."""
+        at = locate(self._boundary, samples)
+        deep = at.distance >= 0.9 * _DEEP * self._faces.size(at.element, at.t)
+        return deep & (samples[:, 0] >= 0.0)
+
+    def _opposite(
+        self, points: FloatArray, ways: FloatArray
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Return how far it is from points along ways to the boundary, the elements, the places."""
+        first = self._boundary.nodes[self._boundary.elements[:, 0]] - points[:, None]
+        along = self._boundary.nodes[self._boundary.elements[:, 2]] - points[:, None] - first
+        way_r, way_z = ways.T[:, :, None]
+        across = way_r * along[..., 1] - way_z * along[..., 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = (first[..., 0] * along[..., 1] - first[..., 1] * along[..., 0]) / across
+            t = (first[..., 0] * way_z - first[..., 1] * way_r) / across
+        far = np.where((t >= 0.0) & (t <= 1.0) & (far > 0.0), far, np.inf)
+        element, rows = far.argmin(axis=1), np.arange(len(points))
+        far = far[rows, element]
+        return far, element, np.where(far < np.inf, t[rows, element], 0.0)  # towards the axis: inf
+
+    def _integrated(self, points: FloatArray) -> FloatArray:
+        """Return (p, 6, n), Somigliana's identity at points inside.
+
+        The integrands are smooth, but steep close to the boundary, where elements are halved until
+        their parts are not. What is left of the quadrature's error is multiplied by u - u*, with
+        the field u* = c e + d e_z + w r e_theta, e = r e_r - 2 nu / (1 - nu) (z - z0) e_z, that
+        agrees with u at the nearest node, at z0; its stress, known, is added again, and finite for
+        all nu.
+        """
+        nodes, elements, p = self._boundary.nodes, self._boundary.elements, len(points)
+        _, width, n = self._values.shape
+        nearest = ((points[:, None] - nodes) ** 2).sum(2).argmin(1)
+        r, z0 = nodes[nearest].T
+        # columns of values along r and z have the rows of four stresses, those along theta of two
+        heights = np.array([4 * p, 4 * p, 2 * p])[_DIRECTION, None]
+        starts = (4 * p * width * np.arange(3))[_DIRECTION, None]
+        values = np.hstack([elements, len(nodes) + np.arange(len(elements))[:, None]])
+        factors = np.tile([-1.0, -1.0, -1.0, 1.0], (len(elements), len(_DIRECTION), 1))
+        rows = p * np.array([0, 1, 2, 3, 0, 1])[:, None] + np.arange(p)
+        entries = np.zeros(10 * p * width)
+        own = -integrate_rows(
+            np.column_stack([points, z0]), np.full(p, -1), self._boundary, self._poisson,
+            quadrature(_TOLERANCE), starts + heights * values[:, None], factors, rows, entries,
+        )  # fmt: skip
+        own[:2] += 1.0 / (1.0 - self._poisson)  # stresses rr = tt of u_r = r where zz is 0
+        own[_DIRECTION != 1] *= np.divide(1.0, r, where=r > 0.0, out=np.zeros_like(r))
+        entries[starts + heights * nearest + rows[_COMPONENT]] += own
+        normal, torsion = np.split(entries, [8 * p * width])
+        stresses = [
+            (part.reshape(len(of), -1).T @ of).reshape(-1, p, n)
+            for part, of in ((normal, self._values[:2].reshape(-1, n)), (torsion, self._values[2]))
         ]
-        for first in range(0, len(samples), count):
-            batch = samples[first : first + count]
-            away = batch[:, None] - boundary.nodes
-            nearest = (away**2).sum(2).argmin(1)
-            normal_rows, torsion_rows = (rows[: len(batch)] for rows in all_rows)
-            evaluations = stress_rows(
-                batch, nearest, boundary, self.zone.material.poisson, rules,
-                normal_rows, torsion_rows,
-            )  # fmt: skip
-            if evaluations < 0:
-                raise ComputationError(
-                    "stress: points lie too close to elements that are long for that, to be "
-                    "integrated: thicker layers or bodies, or a milder mesh.grading, are needed"
-                )
-            for target, rows, values in zip(
-                (normal, torsion), (normal_rows, torsion_rows), self._values, strict=True
-            ):
-                product = (rows.reshape(-1, len(values)) @ values).reshape(
-                    len(batch), -1, values.shape[1]
-                )
-                for i in range(len(batch)):
-                    target[recipe.of_point[first + i]] += recipe.weights[first + i] * product[i]
+        return np.concatenate(stresses).transpose(1, 0, 2)
+
+
+def _smooth(x: FloatArray) -> FloatArray:
+    """Return a smooth step from 0 to 1 with x, level at both ends."""
+    return x * x * (3.0 - 2.0 * x)

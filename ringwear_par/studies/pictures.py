@@ -1,0 +1,372 @@
+"""What figures and pages show of a sweep, from its stored results.
+
+Histories; final values against each key; how much each key matters. Two rules choose what is drawn
+of final values: in a grid, a curve for each combination of the other keys, where these are few; in
+any other case a point for each case, and the surrogate's mean over the other keys where it is good.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.schema import quantity_name
+from ringwear_par.cases.units import in_signs
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.errors import InputError, counted
+from ringwear_par.files.text import parse_value
+from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
+from ringwear_par.pictures.style import COLOURS, in_words, number_text
+from ringwear_par.results.key_numbers import time_unit
+from ringwear_par.results.variables import DISPLAY_UNITS, LAYER_HISTORIES
+from ringwear_par.studies.ensemble import (
+    STRESS_STATES,
+    Ensemble,
+    Factor,
+    end_value_of,
+    entry_words,
+    factors_of,
+)
+from ringwear_par.studies.surrogate import (
+    GOOD,
+    SEED,
+    Surrogate,
+    chosen_cases,
+    share_words,
+    surrogate,
+)
+
+#: most keys, curves of a panel and cases with a point that are drawn
+_MOST_KEYS, _MOST_CURVES, _MOST_POINTS = 8, 8, 1000
+#: largest over smallest value above which an axis of values is logarithmic
+_LOG_VALUE = 100.0
+#: pixels of a point times the square root of the number of points
+_SIZE = 64.0
+#: distance from the place of a category over which its cases are spread
+_ASIDE = 0.2
+#: least range of an axis over the size of its values: smaller variations are round-off
+_LEAST_SPAN = 1e-3
+_FIRST, _TOTAL = "first order S\N{SUBSCRIPT ONE}", "total S\N{LATIN SUBSCRIPT SMALL LETTER T}"
+#: most cases that are drawn one by one, and most of which names are the values of so many keys
+_FEW, _NAMED_KEYS = 12, 3
+#: most cases of which quantiles are drawn, and number of those with a line of their own on top
+_MOST_HISTORIES, _LINES = 1000, 40
+#: common times of a fan
+_TIMES = 201
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+# -- what is drawn of a sweep ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is drawn of a sweep."""
+
+    #: numbers of the cases that are done
+    cases: IntArray
+    #: names of final values
+    outputs: list[str]
+    #: the varied keys, and those of the largest indices, which are drawn
+    varied: list[Factor]
+    keys: list[Factor]
+    #: None: there is none, for a reason
+    surrogate: Surrogate | None
+    absence: str
+    #: first-order and total Sobol' indices of its factors, of the outputs of which it is good
+    indices: dict[str, tuple[FloatArray, FloatArray]]
+    #: how many cases and keys, in words
+    counts: str
+
+    @property
+    def remark(self) -> str:
+        """Errors of the surrogate, in words."""
+        if self.surrogate is None:
+            return ""
+        words = (
+            f"{display_of(name).name} {share_words(error)}{', not drawn' * (error > GOOD)}"
+            for name, error in self.surrogate.relative_error.items()
+            if error
+        )
+        return f"errors of the surrogate in left-out cases, of the spread: {'; '.join(words)}"
+
+
+def choose(ensemble: Ensemble) -> Choice:
+    """Return the choice of what is drawn of a sweep; refuse one without a case. Not collective."""
+    cases, failed = np.flatnonzero(ensemble.done), ensemble.status.count("failed")
+    counts = counted(len(ensemble.status), "case") + (f", {failed} failed" if failed else "")
+    if not len(cases):
+        raise InputError(
+            f"{ensemble.path}: has no case that is done ({counts}); must have one at least"
+        )
+    outputs = figure_columns(ensemble.final, cases)
+    varied = factors_of(ensemble, cases)
+    varied = [key for key in varied if key.differs] or varied
+    made, absence = None, ""
+    indices: dict[str, tuple[FloatArray, FloatArray]] = {}
+    weights = {key.name: 0.0 for key in varied}
+    try:
+        complete = [name for name in outputs if np.isfinite(ensemble.final[name][cases]).all()]
+        made = surrogate(ensemble, complete)
+        if len(made.factors) > 1:
+            good = (name for name, error in made.relative_error.items() if 0.0 < error <= GOOD)
+            indices = {name: made.sobol_indices(name) for name in good}
+        for _, total in indices.values():
+            for name, weight in zip(made.ranges, total.tolist(), strict=True):
+                weights[name] = max(weight, weights[name])
+    except InputError as error:
+        absence = str(error)
+    names = sorted(weights, key=lambda name: -weights[name])[:_MOST_KEYS]
+    keys = [key for key in varied if key.name in names]
+    if len(keys) < len(varied):
+        reason = "of the largest indices" if indices else "the first"
+        counts += f"; {len(keys)} of {len(varied)} keys, {reason}"
+    return Choice(cases, outputs, varied, keys, made, absence, indices, counts)
+
+
+def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
+    """Return the panels of final values by output and key."""
+    return {
+        (output, key.name): _effect(ensemble, choice, key, output)
+        for key in choice.keys
+        for output in choice.outputs
+    }
+
+
+def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Panel:
+    """Return the panel of an output against a key."""
+    display = display_of(output)
+    label = f"final {display.label}" if output == "penetration" else display.label
+    values = display.factor * ensemble.final[output][choice.cases]
+    x = Axis(key.label, log=key.logarithmic, categories=_categories(key))
+    axes = x, value_axis(label, values), f"{label} over {key.label}"
+    others = [other for other in choice.varied if other is not key and other.differs]
+    grid = ensemble.attributes["method"] == "grid"
+    curves = _curves(key, others, values) if grid else []
+    if curves:
+        return Panel(*axes, curves=curves, legend=",\n".join(other.label for other in others))
+    points, bands = [_points(key, values)], []
+    made = choice.surrogate
+    if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= GOOD:
+        along, mean = made.mean_along(key.name, output)
+        shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
+        low, mean, high = (display.factor * each for each in shifted)
+        name = "surrogate, mean over the other keys"
+        if key.texts:
+            ends = np.stack([mean - low, high - mean])
+            level = Points(along, mean, name, COLOURS[0], 20.0, marker="level", errors=ends)
+            points.append(level)
+        else:
+            interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
+            names = f"{interval}, from", f"{interval}, to"
+            bands = [Band(along, low, high, interval, names, COLOURS[1], 0.5)]
+            curves = [Curve(along, mean, name, COLOURS[0])]
+    return Panel(*axes, curves=curves, bands=bands, points=points)
+
+
+def _curves(key: Factor, others: Sequence[Factor], values: FloatArray) -> list[Curve]:
+    """Return a curve for each combination of the other keys; none of many."""
+    names = _names(others) or ["cases"] * len(values)
+    rows: dict[str, list[int]] = {name: [] for name in names}
+    for row in np.argsort(key.values, kind="stable").tolist():
+        rows[names[row]].append(row)
+    if len(rows) > _MOST_CURVES:
+        return []
+    return [
+        Curve(key.values[row], values[row], name, COLOURS[i % len(COLOURS)], i, marked=True)
+        for i, (name, row) in enumerate(rows.items())
+    ]
+
+
+def _points(key: Factor, values: FloatArray) -> Points:
+    """Return a point for each case, or for some of many."""
+    rows = chosen_cases(np.arange(len(values)), _MOST_POINTS)
+    x, size = key.values[rows], float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
+    if key.texts:
+        x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
+    name = f"{len(rows)} of {len(values)} cases" if len(rows) < len(values) else "cases"
+    return Points(x, values[rows], name, GREY, size, behind=True)
+
+
+def value_axis(label: str, values: FloatArray) -> Axis:
+    """Return the axis of an output: logarithmic, or wider than round-off."""
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+    if low > 0.0 and high >= _LOG_VALUE * low:
+        return Axis(label, (0.5 * low, 2.0 * high), log=True)
+    wider = 0.5 * (_LEAST_SPAN * max(abs(low), abs(high)) - (high - low))
+    return Axis(label, (low - wider, high + wider) if wider > 0.0 else None)
+
+
+def index_panels(choice: Choice) -> dict[str, Panel]:
+    """Return the bars of Sobol' indices by output, of the keys that are drawn."""
+    panels = {}
+    for output, (first, total) in choice.indices.items():
+        assert choice.surrogate is not None
+        names = [factor.name for factor in choice.surrogate.factors]
+        rows = [names.index(key.name) for key in choice.keys if key.name in names]
+        places = np.arange(len(rows), dtype=float)
+        bars = [
+            Bars(places - 0.17, first[rows], _FIRST, COLOURS[0]),
+            Bars(places + 0.17, total[rows], _TOTAL, COLOURS[1]),
+        ]
+        categories = tuple(quantity_name(names[row]) for row in rows)
+        x, y = (
+            Axis("Sobol' index", ends=(0.0, 1.05)),
+            Axis("", categories=categories, reversed=True),
+        )
+        title = f"Sobol' indices of the {final_name(output)}"
+        panels[output] = Panel(x, y, title, bars=bars, legend=final_name(output))
+    return panels
+
+
+def histories(ensemble: Ensemble, choice: Choice) -> Panel:
+    """Return the penetration over time: a line for each case, or a fan of quantiles."""
+    cases = chosen_cases(choice.cases, _MOST_HISTORIES)
+    counts = ensemble.steps_stored[cases].tolist()
+    times, depths = (ensemble.histories(name, cases) for name in ("time", "penetration"))
+    unit, seconds = time_unit(float(np.nanmax(times)))
+    lines = [
+        (time[:count] / seconds, 1e3 * depth[:count])
+        for time, depth, count in zip(times, depths, counts, strict=True)
+    ]
+    x, label = Axis(f"time ({unit})", zero=True), display_of("penetration").label
+    if len(cases) > _FEW:
+        return _fan(lines, x, label, len(choice.cases))
+    keys = [key for key in choice.keys if key.differs]
+    names, legend = [ensemble.ids[case] for case in cases], "case"
+    if 0 < len(keys) <= _NAMED_KEYS:
+        names = _names(keys)
+        legend = ",\n".join(key.label for key in keys)
+    curves = [
+        Curve(*line, name, COLOURS[i % len(COLOURS)], i // len(COLOURS))
+        for i, (line, name) in enumerate(zip(lines, names, strict=True))
+    ]
+    title = "Penetration of each case"
+    return Panel(x, Axis(label, zero=True), title, curves=curves, legend=legend)
+
+
+def _fan(lines: list[tuple[FloatArray, FloatArray]], x: Axis, label: str, count: int) -> Panel:
+    """Return quantiles of penetrations, as long as half of the cases last, and some of these.
+
+    Parameters
+    ----------
+    lines : times and penetrations of cases, which are some or all of ``count``.
+    """
+    last = max(time[-1] for time, _ in lines) * (1.0 - 1e-9)  # all but round-off
+    time = np.linspace(0.0, last, _TIMES)
+    depth = np.array([np.interp(time, *line, right=np.nan) for line in lines])
+    ends = np.array([line[-1] for _, line in lines])
+    rows = np.argsort(ends)[np.unique(np.linspace(0, len(ends) - 1, _LINES).astype(int))]
+    singles = f"{len(rows)} of the cases"
+    curves = [Curve(time, depth[row], singles, GREY, 0, 0.8, tabulated=False) for row in rows]
+    known = np.isfinite(depth).sum(axis=0) >= 0.5 * len(depth)
+    low, lower, median, upper, high = np.nanquantile(depth[:, known], _QUANTILES, axis=0)
+    time = time[known]
+    bands = [
+        Band(time, low, high, "5\N{EN DASH}95 %", ("5 %", "95 %"), COLOURS[0], 0.16),
+        Band(time, lower, upper, "25\N{EN DASH}75 %", ("25 %", "75 %"), COLOURS[0], 0.3),
+    ]
+    curves.append(Curve(time, median, "median", COLOURS[0], 0, 2.5))
+    chosen = f"{len(ends)} of {count} cases, chosen at random" if len(ends) < count else ""
+    title = f"Penetration: quantiles of {len(ends)} cases, {singles} from the least to the deepest"
+    y = value_axis(label, ends)
+    y = y if y.log else Axis(label, zero=True)
+    return Panel(x, y, title, curves=curves, bands=bands, legend=chosen)
+
+
+# -- words -----------------------------------------------------------------------------------------
+
+
+class Display(NamedTuple):
+    """How a number is drawn: times a factor, and under which name, with its unit."""
+
+    factor: float
+    name: str
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        return f"{self.name} ({self.unit})"
+
+
+#: words for names that do not speak for themselves, without their bodies
+_WORDS = {
+    "mean_wear_rate": "mean rate",
+    "sliding_distance": "distance",
+    "pressure_velocity": "p V",
+    "share_through": "share worn through",
+    "time_through": "worn through from",
+    "least_layer_left": "least left of layers",
+    "max_mises": "largest von Mises stress",
+    "max_mises_r": "its radius",
+    "max_mises_z": "its height",
+    "max_mises_layer": "its layer",
+    "mises": "von Mises stress",
+    "max_shear": "largest shear stress",
+}
+_UNITS = DISPLAY_UNITS | {"share_through": ("%", 100.0), "least_layer_left": ("um", 1e3)}
+
+
+def display_of(name: str) -> Display:
+    """Return how a number is drawn: its name, then its body, then its entry."""
+    end_value, entry = end_value_of(name)
+    words = end_value.name.removesuffix("_layers")
+    body = words.rpartition("_")[2]
+    body = body if body in BODIES else ""
+    words = words.removesuffix(f"_{body}")
+    unit, factor = _UNITS.get(words, (end_value.stored.unit, 1.0))
+    parts = [_WORDS.get(words, words.replace("_", " ")), body]
+    parts.append(entry_words(end_value, entry) if entry else "")
+    return Display(factor, ", ".join(filter(None, parts)), in_signs(unit))
+
+
+def final_name(name: str) -> str:
+    """Return the name of a number in sentences."""
+    return f"final {display_of(name).name}"
+
+
+def figure_columns(final: Mapping[str, Any], cases: IntArray) -> list[str]:
+    """Return the numbers of some cases that figures draw.
+
+    Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where
+    there are some; the largest stress. Numbers of each layer and point would make figures too
+    long to read.
+    """
+    volumes = ("worn_volume_lower", "worn_volume_upper")
+    worn = [name for name in volumes if np.nan_to_num(final[name][cases]).any()]
+    through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
+    stress = [STRESS_STATES] if STRESS_STATES in final else []
+    return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]
+
+
+def raw_words(text: str) -> str:
+    """Return a raw value of a key, as studies store it, in few words."""
+    return in_words(parse_value(text)) if text else "none"
+
+
+def _categories(key: Factor) -> tuple[str, ...]:
+    """Return the texts of a key in few words, numbered where these would be the same."""
+    words = [raw_words(text) for text in key.texts]
+    same = len(set(words)) < len(words)
+    return tuple(f"{word} ({n})" if same else word for n, word in enumerate(words, 1))
+
+
+def _words(key: Factor) -> list[str]:
+    """Return a key's value in each case, as short as its values stay apart."""
+    if key.texts:
+        return [_categories(key)[int(number)] for number in key.values]
+    count, words = len(np.unique(key.values)), list[str]()
+    for digits in range(3, 18):
+        words = [number_text(value, digits) for value in key.values]
+        if len(set(words)) == count:
+            break
+    return words
+
+
+def _names(keys: Sequence[Factor]) -> list[str]:
+    """Return the values of some keys in each case."""
+    return [", ".join(row) for row in zip(*map(_words, keys), strict=True)]
