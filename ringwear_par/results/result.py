@@ -16,7 +16,6 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
 from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.block import Block
 from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
@@ -25,6 +24,8 @@ from ringwear_par.version import versions
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
+
+    from ringwear_par.history.block import Block
 
 #: beginning of the attributes of balances
 BALANCE = "balance_"
@@ -84,7 +85,7 @@ class Last:
     rates: FloatArray
 
     @classmethod
-    def of(cls, block: Block, state: State) -> "Last":
+    def of(cls, block: "Block", state: State) -> "Last":
         """Return the state of a block of one."""
         return cls(
             float(state.time[0]), int(state.steps[0]),

@@ -20,15 +20,6 @@ def with_faces(case, lower=(), upper=()):
     )
 
 
-def test_faces_that_are_flat_change_nothing(comm):
-    case = paper_case(Mesh(32), pressure=50.0)
-    plain = rw.assemble(case, comm)
-    straight = with_faces(case, ((20.0, 0.0), (30.0, 0.0), (40.0, 0.0)), ((28.5, 0.0), (31.5, 0.0)))
-    same = rw.assemble(straight, comm)
-    assert np.array_equal(same.normal, plain.normal)
-    assert np.array_equal(same.line.edges, plain.line.edges)
-
-
 def test_pressure_is_continuous_in_a_vanishing_chamfer():
     """On the flat part, and the force of given approach is within what the chamfer takes off."""
     case = paper_case(Mesh(96), pressure=50.0)
