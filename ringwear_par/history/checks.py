@@ -3,13 +3,12 @@
 Sentences are for the end, see ``results.warnings``.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, relative
+from ringwear_par.arrays import FloatArray, IntArray, relative
 from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -24,6 +23,8 @@ FEW_ELEMENTS = 10
 MOST_ANGLE = 15.0
 #: relative difference of two values of a measure that are the same
 _ROUND_OFF = 1e-9
+#: the measure of the largest stress (MPa) beside an edge where it is infinite, and its radius (mm)
+INFINITE_STRESS = "infinite_stress"
 #: numbers of a measure: value, time (s), and up to four that tell where it was
 ENTRIES = 6
 
@@ -73,8 +74,8 @@ class Worst:
     the force that is carried (N), the mean pressure on the elements in contact (MPa), where they
     are enough to tell it; the force on few elements, see ``force_measure``; the asymmetry of the
     compliance; the share of the load between faces of unlike slopes, with the radius (mm) where it
-    is largest and the angles there of lower, of upper and of the pressure (degrees); and shares of
-    worn layers.
+    is largest and the angles there of lower, of upper and of the pressure (degrees); shares of worn
+    layers; and ``INFINITE_STRESS``.
     """
 
     def __init__(self, count: int) -> None:
@@ -87,17 +88,16 @@ class Worst:
         block, state = instant.block, instant.state
         for name, values in {**balances(block, state), **_measures(block, state)}.items():
             value, *place = values if isinstance(values, tuple) else (values,)
-            measure = self.measures.setdefault(name, np.zeros((ENTRIES, self._count)))
-            value = np.broadcast_to(value, len(block))
-            # by more than round-off, which would choose the time of what is constant; NaN too
-            worse = ~(value <= measure[0, block.number] * (1.0 + _ROUND_OFF))
-            for entry, column in enumerate((value, state.time, *place)):
-                measure[entry, block.number[worse]] = column[worse]
+            self.take(name, block.number, value, state.time, *place)
 
-    def restore(self, before: Mapping[str, Sequence[float]]) -> None:
-        """Take the measures that an interrupted single history had."""
-        for name, values in before.items():
-            self.measures[name] = np.array(values)[:, None]
+    def take(self, name: str, number: IntArray, value: Any, *place: FloatArray) -> None:
+        """Take values of a measure of histories of these numbers, with times and places."""
+        measure = self.measures.setdefault(name, np.zeros((ENTRIES, self._count)))
+        value = np.broadcast_to(value, len(number))
+        # by more than round-off, which would choose the time of what is constant; NaN too
+        worse = ~(value <= measure[0, number] * (1.0 + _ROUND_OFF))
+        for entry, column in enumerate((value, *place)):
+            measure[entry, number[worse]] = column[worse]
 
     def balances(self, number: int = 0) -> Balances:
         """Return the worst balances of one history."""

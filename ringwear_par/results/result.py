@@ -1,10 +1,10 @@
 """Results of cases and their attributes, and what all outcomes show; histories as columns."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,8 @@ from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
-from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
+from ringwear_par.errors import ComputationError, InputError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.block import Block
 from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
@@ -69,39 +68,12 @@ class Outcome:
         return outcome_html(self)
 
 
-@dataclass(frozen=True, eq=False)
-class Last:
-    """The last state of a history."""
+class Checkpoint(NamedTuple):
+    """Where a history goes on: its last state, as of a block of one, and what is told of it."""
 
-    #: s, number of steps made, N, mm
-    time: float
-    steps: int
-    force: float
-    approach: float
-    #: (n,) MPa; (2, n) mm and mm/s of lower and upper
-    pressure: FloatArray
-    wear: FloatArray
-    rates: FloatArray
-
-    @classmethod
-    def of(cls, block: Block, state: State) -> "Last":
-        """Return the state of a block of one."""
-        return cls(
-            float(state.time[0]), int(state.steps[0]),
-            float(state.pressure[0] @ block.line.area), float(state.approach[0]),
-state.pressure[0], block.both(state.wear)[:, 0],
-            block.both(state.rates)[:, 0],
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """Where a history goes on: its state, as of a block of one, and what is told of it."""
-
-    first: State
-    last: Last
+    state: State
     #: of the history so far, see ``checks.Worst``
-    worst: Mapping[str, Sequence[float]]
+    worst: Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +122,18 @@ class Result(Outcome):
     def steps_made(self) -> IntArray:
         """(s,) number of steps made before each stored state."""
         return self.data.get("steps_made", self.step)
+
+    @property
+    def last_state(self) -> State:
+        """The state that a run goes on from, as of a block of one.
+
+        Raises
+        ------
+        InputError : the result was stored without.
+        """
+        if self.checkpoint is None:
+            raise InputError(f"{self.name}: holds no last state; must be one of a run")
+        return self.checkpoint.state
 
     @property
     def histories(self) -> dict[str, Any]:
@@ -287,11 +271,11 @@ class HistoryColumns:
     offsets: IntArray
     #: (rows,) int, steps made
     steps: IntArray
-    #: (rows,) each, by name, see ``variables.HISTORIES``
-    histories: Mapping[str, Any]
-    #: (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones are
-    #: stored only: NaN where a history has none
-    profiles: Mapping[str, FloatArray]
+    #: (rows, ...) each, by name, see ``variables``
+    data: Mapping[str, Any]
+    #: (B, ...) each, by name: numbers and, where they are stored alone, profiles at the ends; when
+    #: wear got through layers; where points of stress are
+    whole: Mapping[str, FloatArray]
     #: (B,) float, the worst balance of each, see ``Balances.worst``
     imbalance: FloatArray
     #: what makes each doubtful, see ``ValidityWarning.code``, and limits that ended it early
@@ -302,21 +286,6 @@ class HistoryColumns:
     status: tuple[str, ...]
     #: why it failed, one line; "" for one that has not
     reason: tuple[str, ...]
-    #: (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see ``variables.LAYERS``
-    layers: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: (rows,) or (rows, points) each, by name, see ``fields.stress_rows``
-    stress: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: (B,) or (B, points), by name: when wear got through layers, where points are
-    whole: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    @property
-    def deep(self) -> bool:
-        """Whether the profiles are stored as often as the histories."""
-        return all(len(values) == len(self.steps) for values in self.profiles.values())
-
-    def rows(self, i: int) -> slice:
-        """Return which rows are of history i."""
-        return slice(int(self.offsets[i]), int(self.offsets[i + 1]))
 
 
 # -- attributes ------------------------------------------------------------------------------------

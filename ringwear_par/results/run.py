@@ -21,7 +21,7 @@ from ringwear_par.files.writing import announce_replacement, check_writable
 from ringwear_par.history.loop import Instant, simulate_one
 from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
-from ringwear_par.results.files import open_result, restored, write_result
+from ringwear_par.results.files import open_result, write_result
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
@@ -163,7 +163,7 @@ def _interrupted(
     if restart and not fault:
         return before
     if not restart:
-        steps = restored(before).steps[0]
+        steps = before.last_state.steps[0]
         fault = f"holds a run that was interrupted after step {steps}; " + (
             "it is one of another case, and --overwrite replaces it"
             if fault
@@ -190,7 +190,7 @@ def _difference(before: Result, case: Case) -> str:
             f"holds another case; --restart needs the same case, only {growing} and limits in "
             "[stop] may change"
         )
-    reached = float(restored(before).time[0])
+    reached = float(before.last_state.time[0])
     if reached > case.time.end * (1.0 + SAME_TIME):
         return (
             f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
@@ -201,18 +201,13 @@ def _difference(before: Result, case: Case) -> str:
 
 def _is_at_end(case: Case, before: Result) -> bool:
     """Tell whether a stored history has come to the end of a case, or to one of its limits."""
-    first = restored(before)
-    if first.time[0] >= case.time.end:
+    if before.last_state.time[0] >= case.time.end:
         return True
-    assert before.checkpoint is not None
-    last = before.checkpoint.last
-    reached = {
-        "penetration": last.approach - float(first.first_approach[0]),
-        "wear_lower": last.wear[0].max(),
-        "wear_upper": last.wear[1].max(),
-        "energy": float(first.energy[0]),
-    }
-    return any(reached[name] >= limit for name, limit in case.stop)
+    stops = (
+        {key: value for key, value in read_keys(text).items() if key.startswith("stop.")}
+        for text in (before.case, case.stored_text)
+    )
+    return "stopped_by" in before.attributes and next(stops) == next(stops)
 
 
 def _continued(text: str) -> dict[str, Any]:

@@ -120,16 +120,12 @@ def to_dict(result: Result) -> dict[str, Any]:
 
 
 def warnings_of(result: Result) -> list[str]:
-    """Return how far a history is that has not come to its end, and what is doubted, in words.
-
-    The result has its last state.
-    """
-    assert result.checkpoint is not None
-    about, last, sentences = result.attributes, result.checkpoint.last, []
+    """Return how far a history is that has not come to its end, and what is doubted, in words."""
+    about, sentences = result.attributes, []
     if about["status"] != "complete":
-        where = f"t = {last.time:g} of {about['time_end']:g} s"
+        where = f"t = {result.data['time'][-1]:g} of {about['time_end']:g} s"
         if not SCHEMES[about["scheme"]].adaptive:
-            where = f"step {last.steps} of {about['time_steps']}"
+            where = f"step {result.steps_made[-1]} of {about['time_steps']}"
         sentences.append(
             f"failed after {where}: {about['error']}"
             if about["error"]

@@ -114,7 +114,7 @@ _AXES = _table(
      "number of time steps made; of the stored state where steps_made is there", "int"),
     ("steps_made", "step", "1", "number of time steps made", "int"),  # states lie within steps
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
-    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
+    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npz file",
      "int"),
 )
 #: the contact line

@@ -70,7 +70,7 @@ def test_saved_and_opened_it_is_the_same(computed, tmp_path, extra):
     again, copy = open_result(str(path)), tmp_path / "copy.h5"
     again.save(str(copy))
     assert_same(path, copy)
-    assert (again.checkpoint.first.meshed is not None) == bool(extra)
+    assert (again.last_state.meshed is not None) == bool(extra)
     np.testing.assert_equal(attributes(copy), attributes(path))
     np.testing.assert_array_equal(again.line.edges, result.line.edges)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.h5", "run.h5"]

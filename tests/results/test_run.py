@@ -20,7 +20,7 @@ TOO_MUCH = [*SMALL, "wear.lower.k=1e-3", "time.step=20"]
 def state_of(path):
     """Status and last step of a run."""
     result = open_result(path)
-    return result.attributes["status"], int(result.checkpoint.last.steps)
+    return result.attributes["status"], int(result.last_state.steps[0])
 
 
 @pytest.fixture

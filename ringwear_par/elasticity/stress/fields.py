@@ -1,7 +1,6 @@
 """What is known of stresses in the bodies, after they have been computed or read."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -101,16 +100,6 @@ class StressState:
     #: the body itself; (0,) of one without
     layers: tuple[FloatArray, FloatArray]
 
-    def without_fields(self) -> "StressState":
-        """Return the state without its grid and its faces."""
-        empty = np.empty((0, 6))
-        return replace(self, grid=np.empty((0, 0, 6)), surface=(empty, empty))
-
-    @property
-    def of_both(self) -> Largest:
-        """The largest von Mises stress of both bodies."""
-        return max(self.largest, key=lambda x: -math.inf if math.isnan(x.mises) else x.mises)
-
 
 @dataclass(frozen=True)
 class StressHistory:
@@ -129,12 +118,6 @@ class StressHistory:
     interfaces: tuple[Interfaces, Interfaces]
     #: those that were asked for
     states: tuple[StressState, ...]
-
-    @property
-    def layers(self) -> tuple[int, int]:
-        """Number of layers of lower and upper, the body itself included; 0 of one without."""
-        lower, upper = (len(body.z) + 1 if len(body.z) else 0 for body in self.interfaces)
-        return lower, upper
 
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards
