@@ -131,8 +131,8 @@ class CaseStresses:
         )
         where: dict[str, Any] = {"grid_r": axes[0], "grid_z": axes[1]}
         for body, sections, plane in zip(BODIES, both, planes, strict=True):
-            lines = interfaces(sections, case.line, case.mesh, body, plane)
-            where |= {f"interface_r_{body}": lines.r, f"interface_z_{body}": lines.z}
+            r, z = interfaces(sections, case.line, case.mesh, body, plane)
+            where |= {f"interface_r_{body}": r, f"interface_z_{body}": z}
         where |= {"point_r": points[:, 0], "point_z": points[:, 1], "point_side": names}
         #: arrays by name that are the same at all states, see ``results.variables``
         self.where = _present({**where, "stress_exclude": np.array(case.stress.exclude)})

@@ -10,10 +10,6 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
     BoundaryFields,
     BoundaryState,
-    Interfaces,
-    Largest,
-    StressHistory,
-    StressState,
     max_shear,
     mises,
     principal,
@@ -33,41 +29,6 @@ from ringwear_par.results.variables import (
 _LARGEST = ("", "_r", "_z", "_layer")
 #: what sweeps store of stresses
 _SWEPT = (*LARGEST_STRESS, *LAYER_STRESS, *POINT_STRESS)
-#: arrays of a ``StressState`` by the name of its field, the later ones of each body
-_OF_STATE = {"points": "stress", "grid": "stress_grid"}
-_OF_BODY = {
-    "surface": "surface_stress_{}",
-    "interfaces": "interface_stress_{}",
-    "layers": "max_mises_{}_layers",
-}
-
-
-def stress_history(data: Mapping[str, Any]) -> StressHistory | None:
-    """Return the stresses of which these are the arrays, None where there are none."""
-    if "stress_time" not in data:
-        return None
-    times, steps = data["stress_time"].tolist(), data["stress_steps_made"].tolist()
-    none, no_stress = np.empty(0), np.empty((len(times), 0, 6))
-    largest = [[data[f"max_mises_{body}{end}"].tolist() for end in _LARGEST] for body in BODIES]
-
-    def state(t: int) -> StressState:
-        of_bodies: Any = {
-            field: tuple(data.get(name.format(body), no_stress)[t] for body in BODIES)
-            for field, name in _OF_BODY.items()
-        }
-        lower, upper = (Largest(*(numbers[t] for numbers in of_body)) for of_body in largest)
-        fields = {field: data.get(name, no_stress)[t] for field, name in _OF_STATE.items()}
-        return StressState(steps[t], times[t], **fields, **of_bodies, largest=(lower, upper))
-
-    lower, upper = (
-        Interfaces(*(data.get(f"interface_{axis}_{body}", none) for axis in "rz"))
-        for body in BODIES
-    )
-    return StressHistory(
-        np.stack([data.get(name, none) for name in ("point_r", "point_z")], axis=1),
-        tuple(data.get("point_side", ())), (data.get("grid_r", none), data.get("grid_z", none)),
-        float(data["stress_exclude"]), (lower, upper), tuple(map(state, range(len(times)))),
-    )  # fmt: skip
 
 
 def stress_measures(data: Mapping[str, Any]) -> dict[str, FloatArray]:
@@ -162,14 +123,14 @@ def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
 # -- what a result has of them ---------------------------------------------------------------------
 
 
-def stresses(result: Result) -> StressHistory:
-    """Return the stored stresses.
+def stresses(result: Result) -> dict[str, Any]:
+    """Return the stored stresses by name, see ``Result.stress``.
 
     Raises
     ------
     InputError : there are none.
     """
-    if result.stress is None:
+    if not result.stress:
         raise _lacks(result, "stresses", "computed with [stress] in its case")
     return result.stress
 
@@ -181,15 +142,14 @@ def check_grid(result: Result) -> None:
     ------
     InputError : there are none, or none on a grid.
     """
-    if not len(stresses(result).grid[0]):
+    if "stress_grid" not in stresses(result):
         raise _lacks(result, "stresses on a grid", "computed with stress.grid")
 
 
-def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
-    """Return the states nearest to times (s), the last one for none."""
-    stored = np.array([state.time for state in states])
+def nearest_rows(stored: FloatArray, times: Sequence[float]) -> list[int]:
+    """Return which stored times (s) are nearest to times, the last one for none."""
     rows = {int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1}
-    return [states[row] for row in sorted(rows)]
+    return sorted(rows)
 
 
 class Interface(NamedTuple):
@@ -203,15 +163,13 @@ class Interface(NamedTuple):
     r: FloatArray
     #: mm, its height, unworn
     z: float
+    #: (t, 2, m, 6) MPa, above and below, at stored times
+    stress: FloatArray
 
     @property
     def name(self) -> str:
         """What it is called in pictures."""
         return f"under layer {self.layer} of {BODIES[self.body]}, z = {self.z:.6g} mm"
-
-    def stress(self, state: StressState) -> FloatArray:
-        """Return (2, m, 6) MPa, above and below."""
-        return state.interfaces[self.body][self.layer]
 
 
 def interfaces_of(result: Result) -> list[Interface]:
@@ -221,10 +179,11 @@ def interfaces_of(result: Result) -> list[Interface]:
     ------
     InputError : there are none.
     """
+    of = stresses(result)
     interfaces = [
-        Interface(body, layer, line.r, float(z))
-        for body, line in enumerate(stresses(result).interfaces)
-        for layer, z in enumerate(line.z)
+        Interface(i, layer, of[f"interface_r_{body}"], z, of[f"interface_stress_{body}"][:, layer])
+        for i, body in enumerate(BODIES)
+        for layer, z in enumerate(of.get(f"interface_z_{body}", np.empty(0)).tolist())
     ]
     if not interfaces:
         raise _lacks(result, "stresses along interfaces", "of a body with layers")

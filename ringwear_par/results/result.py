@@ -13,11 +13,11 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
+from ringwear_par.elasticity.stress.fields import BoundaryState
 from ringwear_par.errors import ComputationError, InputError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.state import State
-from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, TIMES_THROUGH
+from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
 from ringwear_par.version import versions
 
@@ -151,11 +151,9 @@ class Result(Outcome):
         return self._some(LAYERS)
 
     @property
-    def stress(self) -> StressHistory | None:
-        """Stored stresses, None where there are none."""
-        from ringwear_par.results.fields import stress_history
-
-        return stress_history(self.data)
+    def stress(self) -> dict[str, Any]:
+        """Stored stresses, and where they are, by name, see ``variables.STRESSES``."""
+        return self._some(STRESSES)
 
     @property
     def boundary(self) -> tuple[BoundaryState, ...]:

@@ -204,7 +204,8 @@ def _largest_of(place: str, bodies: str) -> dict[str, Variable]:
 
 
 _MAX_MISES = _largest_of("max_mises", "both rings")
-_STRESSES = {
+#: stresses and where they are, at the states that cases ask for
+STRESSES = {
     **_table(
         ("stress_time", "stress_step", "s", "time"),
         ("stress_steps_made", "stress_step", "1", "number of time steps made", "int"),
@@ -242,8 +243,8 @@ _STRESSES = {
 
 def _at_stored_states(*names: str) -> dict[str, Variable]:
     """Return variables of stress as sweeps have them, at all stored states."""
-    at = {name: _STRESSES[name].dimensions[1:] for name in names}
-    return {name: replace(_STRESSES[name], dimensions=("step", *rest)) for name, rest in at.items()}
+    at = {name: STRESSES[name].dimensions[1:] for name in names}
+    return {name: replace(STRESSES[name], dimensions=("step", *rest)) for name, rest in at.items()}
 
 
 #: what sweeps store, at the stored states that stress is asked for of: the largest, and points
@@ -287,7 +288,7 @@ LABORATORY_NUMBERS = {
 #: all variables of a result by their places in its file; groups have axes of their own
 VARIABLES = {
     **_AXES, **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **LAYERS, **LAYER_ENDS, **_STRESSES, **LABORATORY_NUMBERS,
+    **LAYERS, **LAYER_ENDS, **STRESSES, **LABORATORY_NUMBERS,
     **{f"boundary/{body}/{name}": v for body in BODIES for name, v in BOUNDARY.items()},
 }  # fmt: skip
 #: coordinates that are no dimensions

@@ -66,60 +66,6 @@ class Largest:
     layer: int
 
 
-@dataclass(frozen=True)
-class Interfaces:
-    """Where the interfaces of a body are, from the contact face on; none without layers."""
-
-    #: (m,) float, mm, mid-points of their elements, the same for all, increasing
-    r: FloatArray
-    #: (i,) float, mm, their heights in the frame of the case, unworn
-    z: FloatArray
-
-
-@dataclass(frozen=True)
-class StressState:
-    """Stresses after ``step`` steps, at ``time`` (s).
-
-    Components, the last axis, are ``COMPONENTS``, in MPa.
-    """
-
-    step: int
-    time: float
-    #: (p, 6) float, NaN in layers where they are worn through
-    points: FloatArray
-    #: (nr, nz, 6) float, likewise, and NaN outside the bodies
-    grid: FloatArray
-    #: of the contact elements of lower and upper, (n, 6) float each, likewise
-    surface: tuple[FloatArray, FloatArray]
-    #: of lower and upper
-    largest: tuple[Largest, Largest]
-    #: of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN where wear
-    #: has come through to it
-    interfaces: tuple[FloatArray, FloatArray]
-    #: of lower and upper, (layers + 1,) float, the largest von Mises stress of each layer and of
-    #: the body itself; (0,) of one without
-    layers: tuple[FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
-class StressHistory:
-    """Stored stresses, and where they are."""
-
-    #: (p, 2) float, mm, r and z in the frame of the case
-    points: FloatArray
-    #: of each, on which side of a face or an interface it is, "" where the case names none; ()
-    #: where they are not known
-    sides: tuple[str, ...]
-    #: radii and heights of the grid, mm; none of each where there is no grid
-    grid: tuple[FloatArray, FloatArray]
-    #: mm, radius round edges in which the largest stress was not looked for
-    exclude: float
-    #: of lower and upper
-    interfaces: tuple[Interfaces, Interfaces]
-    #: those that were asked for
-    states: tuple[StressState, ...]
-
-
 #: in the order of the last axis of stresses; tension is positive, z points upwards
 COMPONENTS = ("rr", "tt", "zz", "rz", "rt", "tz")
 #: sides of an interface, in the order of the axis of stresses there
