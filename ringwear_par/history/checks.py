@@ -3,7 +3,6 @@
 Sentences are for the end, see ``results.warnings``.
 """
 
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -29,32 +28,18 @@ INFINITE_STRESS = "infinite_stress"
 ENTRIES = 6
 
 
-@dataclass(frozen=True)
-class Balances:
-    """Relative defects of balances, and the error of time steps.
-
-    Force and energy hold to the accuracy of the contact solver; torque and reaction vanish with the
-    mesh, the step error with the steps.
-    """
-
-    #: contact pressure against the applied force (0 at given displacement)
-    force: float = 0.0
-    #: torque on the fixed faces against the friction torque, the worse of both bodies
-    torque: float = 0.0
-    #: axial force on the fixed faces against that of the contact pressure, the worse of both bodies
-    reaction: float = 0.0
-    #: worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers what
-    #: the volumes of all of them took of it
-    energy: float = 0.0
-    #: natural residual of the contact, eq. (3) as collocated, over the largest pressure
-    residual: float = 0.0
-    #: mm, the error of wear that steps are estimated to make over the history
-    step_error: float = 0.0
-
-
-#: the balances that hold on any mesh, by any steps
+#: relative defects of balances: those of force and energy hold to the accuracy of the contact
+#: solver, torque and reaction vanish with the mesh, the step error with the steps
+BALANCES = (
+    "force",  # contact pressure against the applied force (0 at given displacement)
+    "torque",  # on the fixed faces against the friction torque, the worse of both bodies
+    "reaction",  # axial force on the fixed faces against that of the pressure, likewise
+    "energy",  # worn volume, of all layers, against k times the dissipated energy; 0 where p0 > 0
+    "residual",  # natural residual of the contact, eq. (3), over the largest pressure
+    "step_error",  # mm, the error of wear that steps are estimated to make over the history
+)
+#: those that hold on any mesh, by any steps
 _EXACT = ("force", "energy", "residual")
-_NAMES = [declared.name for declared in fields(Balances)]
 
 
 def force_measure(count: int) -> str:
@@ -99,10 +84,9 @@ class Worst:
         for entry, column in enumerate((value, *place)):
             measure[entry, number[worse]] = column[worse]
 
-    def balances(self, number: int = 0) -> Balances:
+    def balances(self, number: int) -> dict[str, float]:
         """Return the worst balances of one history."""
-        values = {name: float(self.measures[name][0, number]) for name in _NAMES}
-        return Balances(**values)
+        return {name: float(self.measures[name][0, number]) for name in BALANCES}
 
     @property
     def imbalance(self) -> FloatArray:
@@ -112,7 +96,7 @@ class Worst:
 
 
 def balances(block: Block, state: State) -> dict[str, Any]:
-    """Return the defects of states, see ``Balances``, (B,) each or 0."""
+    """Return the defects of states, see ``BALANCES``, (B,) each or 0."""
     p, line, pair = state.pressure, block.line, block.compliance.pair
     force = p @ line.area
     friction = block.moment(p)

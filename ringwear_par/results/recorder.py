@@ -216,18 +216,14 @@ class Recorder:
     ) -> Result:
         case, some = self._cases[number], slice(*columns.offsets[number : number + 2])
         block, state = self._end(number)
-        steps, time_reached = columns.steps[some], float(state.time[0])
-        balances = vars(self._worst.balances(number)).copy()
+        balances = self._worst.balances(number)
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
             del balances["step_error"]
-        about = case_attributes(case, time_reached)
+        about = case_attributes(case, float(state.time[0]))
         if limits := self._limits(number):
             about["stopped_by"] = " and ".join(limits.values())
 
-        data: dict[str, Any] = {"step": steps, "line/edges": case.line.edges}
-        numbers = np.arange(len(steps))
-        if case.output.times and not np.array_equal(steps, numbers):
-            data |= {"step": numbers, "steps_made": steps}
+        data: dict[str, Any] = {"step": columns.steps[some], "line/edges": case.line.edges}
         data |= {name: values[some] for name, values in columns.data.items()}
         data |= {name: values[number] for name, values in columns.last.items()}
         for i, name in enumerate(LAYER_ENDS):

@@ -96,7 +96,7 @@ class Result(Outcome):
 
     def __repr__(self) -> str:
         title = self.attributes.get("title") or "no title"
-        steps, end = max(self.steps_made, default=0), max(self.histories["time"], default=0.0)
+        steps, end = max(self.step, default=0), max(self.histories["time"], default=0.0)
         return (
             f"<Result: {title} ({self.name}): {self.line.n} contact elements, {len(self.step)} "
             f"states of {steps} steps until {end:g} s, {self.attributes['status']}>"
@@ -112,16 +112,8 @@ class Result(Outcome):
 
     @property
     def step(self) -> IntArray:
-        """(s,) what stored states are called: the steps made, or their own numbers.
-
-        Numbers where there are times of output, before which a number of steps is not unique.
-        """
-        return self.data["step"]
-
-    @property
-    def steps_made(self) -> IntArray:
         """(s,) number of steps made before each stored state."""
-        return self.data.get("steps_made", self.step)
+        return self.data["step"]
 
     @property
     def last_state(self) -> State:
@@ -174,7 +166,7 @@ class Result(Outcome):
 
     @property
     def balances(self) -> dict[str, float]:
-        """Relative defects of balances by name, the worst of all steps (see Balances)."""
+        """Relative defects of balances by name, the worst of all steps, see ``checks.BALANCES``."""
         return {
             name.removeprefix(BALANCE): float(value)
             for name, value in self.attributes.items()
@@ -274,7 +266,7 @@ class HistoryColumns:
     #: (B, ...) each, by name: numbers and, where they are stored alone, profiles at the ends; when
     #: wear got through layers; where points of stress are
     whole: Mapping[str, FloatArray]
-    #: (B,) float, the worst balance of each, see ``Balances.worst``
+    #: (B,) float, the worst balance of each, see ``Worst.imbalance``
     imbalance: FloatArray
     #: what makes each doubtful, see ``ValidityWarning.code``, and limits that ended it early
     flags: tuple[tuple[str, ...], ...]

@@ -152,8 +152,8 @@ class Rows:
             near = np.abs(times[:, None] - output.times) <= SAME_TIME * times[:, None]
             rows = (times == 0.0) | near.any(axis=1)
         else:
-            rows = before.steps_made % output.every == 0
-        steps = before.steps_made[rows]
+            rows = before.step % output.every == 0
+        steps = before.step[rows]
         noted = {
             "number": np.zeros(len(steps), np.int64),
             "steps": steps,

@@ -283,7 +283,7 @@ def _compute(run: Run, path: Path) -> None:
         with together(run.comm):
             if not recorder.finished:
                 raise ComputationError(
-                    f"stopped by {name_of(run.agreed)} after step {result.steps_made[-1]} (at "
+                    f"stopped by {name_of(run.agreed)} after step {result.step[-1]} (at "
                     f"{result.data['time'][-1]:g} of {run.case.time.end:g} s); {output} holds the "
                     "steps so far, and the same command with --restart continues"
                 )

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import SAME_TIME
-from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.key_numbers import (
@@ -123,9 +122,8 @@ def warnings_of(result: Result) -> list[str]:
     """Return how far a history is that has not come to its end, and what is doubted, in words."""
     about, sentences = result.attributes, []
     if about["status"] != "complete":
-        where = f"t = {result.data['time'][-1]:g} of {about['time_end']:g} s"
-        if not SCHEMES[about["scheme"]].adaptive:
-            where = f"step {result.steps_made[-1]} of {about['time_steps']}"
+        time = f"t = {result.data['time'][-1]:g} of {about['time_end']:g} s"
+        where = f"step {result.step[-1]}, {time}"
         sentences.append(
             f"failed after {where}: {about['error']}"
             if about["error"]

@@ -110,9 +110,7 @@ WORDS = {"component": COMPONENTS, "side": SIDES, "plane": DIRECTIONS[:2], "direc
 ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
 # fmt: off
 _AXES = _table(
-    ("step", "step", "1",
-     "number of time steps made; of the stored state where steps_made is there", "int"),
-    ("steps_made", "step", "1", "number of time steps made", "int"),  # states lie within steps
+    ("step", "step", "1", "number of time steps made", "int"),
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
     ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npz file",
      "int"),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.plausible import implausible_numbers, wear_question
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import mises
@@ -21,7 +21,7 @@ from ringwear_par.history.checks import (
     worn_share,
 )
 from ringwear_par.history.stresses import RISING
-from ringwear_par.schedules import Table, largest
+from ringwear_par.schedules import largest
 
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
@@ -93,24 +93,20 @@ def _of_case(case: Case) -> Iterator[ValidityWarning]:
 
 
 def _missed_corner(case: Case) -> tuple[float, float, float] | None:
-    """Return the corner of the load's table that fixed steps pass over, None for none.
+    """Return the corner of the load's table that fixed steps miss most, None if they miss none.
 
-    That is its time (s), the load there (N or mm), and what the load would be between both ends of
-    the step; of several corners, the one that is missed most.
+    That is its time (s), the load there (N or mm), and what steps have there.
     """
     load = case.load.displacement if case.load.force is None else case.load.force
-    step = case.time.step
     if case.time.adaptive or not isinstance(load, Table):
         return None
+    ends = case.time.step * np.arange(case.time.steps + 1)
     x, y = np.array(load.x), np.array(load.y)
-    number = np.floor(x / step + SAME_TIME)
-    share = np.clip(x / step - number, 0.0, 1.0)
-    straight = (1.0 - share) * load(number * step) + share * load((number + 1.0) * step)
+    straight = np.interp(x, ends, load(ends))
     missed = np.where((x > 0.0) & (x < case.time.end), np.abs(y - straight), 0.0)
     i = int(missed.argmax())
-    if missed[i] <= _SLIGHT_MISS * np.ptp(y):
-        return None
-    return float(x[i]), float(y[i]), float(straight[i])
+    slight = missed[i] <= _SLIGHT_MISS * np.ptp(y)
+    return None if slight else (float(x[i]), float(y[i]), float(straight[i]))
 
 
 def _height(case: Case) -> float:
@@ -192,6 +188,11 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
         f"{films}"
     )  # fmt: skip
 
+    for body, ring in enumerate(cases[0].rings):
+        for layer in range(len(ring.layers)):
+            if worn_share(body, layer) in worst:  # elements do not follow the wear
+                yield _worn_layer(cases, body, layer, worst[worn_share(body, layer)])
+
     stress, when_infinite, edge, *_ = worst[INFINITE_STRESS]
     exclude = 0.0 if cases[0].stress is None else cases[0].stress.exclude
     yield "infinite_stress", stress > 0.0, lambda i: (
@@ -200,11 +201,6 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
         f"has rounded the edge: this number grows as stress.exclude, now {exclude:g} mm, is made "
         "smaller"
     )  # fmt: skip
-
-    for body, ring in enumerate(cases[0].rings):
-        for layer in range(len(ring.layers)):
-            if worn_share(body, layer) in worst:  # elements do not follow the wear
-                yield _worn_layer(cases, body, layer, worst[worn_share(body, layer)])
 
     share, when_aside, r, lower, upper, acts = worst["unlike_slopes"]
     advice = '; mesh.geometry = "updated" follows the worn faces' * (not cases[0].follows_wear)

@@ -118,7 +118,7 @@ def test_the_numbers_of_a_failed_run_are_data(computed):
         for number in (*key_numbers(failed), *check_numbers(failed))
     }
     assert (data["status"], data["error"]) == ("incomplete", "a step failed")
-    assert "warning: failed after step 20 of 20: a step failed" in failed.summary()
+    assert "warning: failed after step 20, t = 20 of 20 s: a step failed" in failed.summary()
 
 
 def test_key_numbers_do_not_depend_on_where_elements_are():

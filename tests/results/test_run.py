@@ -56,7 +56,7 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
         with pytest.raises(rw.InputError, match=said):
             run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert state_of(interrupted) == ("incomplete", 7)
-    assert "step 7 of 20" in open_result(interrupted).summary().splitlines()[0]
+    assert "step 7, t = " in open_result(interrupted).summary().splitlines()[0]
     run_case(PAPER, interrupted, other, comm=comm, overwrite=True)
     assert state_of(interrupted) == ("complete", 20)
 
