@@ -21,7 +21,7 @@ from ringwear_par.history.checks import (
     worn_share,
 )
 from ringwear_par.history.stresses import RISING
-from ringwear_par.schedules import largest
+from ringwear_par.schedules import Table, largest
 
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
