@@ -22,6 +22,10 @@ from ringwear_par.results.variables import Variable
 _ONE_CHUNK = 1e6
 
 
+class UnreadableError(InputError):
+    """A file that cannot be read now: it may be whole."""
+
+
 @contextmanager
 def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5py.File]:
     """Yield a file of this software to read; any error meanwhile means that it is not one.
@@ -34,7 +38,7 @@ def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5
 
     Raises
     ------
-    InputError : in one sentence.
+    InputError : in one sentence; UnreadableError where it is not the file's fault.
     """
     try:
         if not path.is_file():
@@ -48,7 +52,7 @@ def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5
         raise
     except Exception as error:  # h5py has no errors of its own: any may come
         if isinstance(error, OSError) and error.errno:  # somebody writes to it, a disk is away
-            raise InputError(f"{path}: cannot be read: {os.strerror(error.errno)}") from error
+            raise UnreadableError(f"{path}: cannot be read: {os.strerror(error.errno)}") from error
         raise InputError(f"{path}: is not {kind}, or is damaged{must}") from error
 
 
