@@ -22,7 +22,11 @@ def take(block: T, histories: IntArray) -> T:
 
 def choose(which: BoolArray, new: T, old: T) -> T:
     """Return a block whose histories are the new ones where so, (B,), else the old ones."""
-    return _mapped(lambda a, b: np.where(which if a.ndim == 1 else which[:, None], a, b), new, old)
+
+    def mixed(a: Any, b: Any) -> Any:
+        return a if a is b else np.where(which if a.ndim == 1 else which[:, None], a, b)
+
+    return _mapped(mixed, new, old)
 
 
 def _mapped(function: Callable[..., Any], first: Any, *others: Any) -> Any:

@@ -225,7 +225,7 @@ def parser() -> argparse.ArgumentParser:
     a.add_argument("--test", metavar="NAME", help="experiment that runs (default: the last one)")
     a.add_argument("--to", default="10%", metavar="PERCENT",
                    help="half width of the interval of k that is asked for (default: 10%%)")
-    a.draws(100_000)
+    a.draws(20_000)
     a.flag("--once", "answer once, by the readings that are there, and end")
 
     lines.append("\nother:")

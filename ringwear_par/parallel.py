@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
+from ringwear_par.arrays import BoolArray
 from ringwear_par.errors import ComputationError, RingwearError
 
 if TYPE_CHECKING:
@@ -41,6 +42,11 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
 def as_on_first_rank(comm: "MPI.Comm", value: T) -> T:
     """Return the value of rank 0 on all ranks. Collective; no message where a rank is alone."""
     return value if comm.size == 1 else comm.bcast(value)
+
+
+def on_any_rank(comm: "MPI.Comm", which: BoolArray) -> BoolArray:
+    """Return which are so on any of the ranks. Collective; no message where a rank is alone."""
+    return which if comm.size == 1 else np.any(comm.allgather(which), axis=0)
 
 
 class together:  # noqa: N801  (it reads as a word: with together(comm))

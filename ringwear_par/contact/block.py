@@ -92,7 +92,8 @@ class BlockSolver:
     def filtered(self, error: FloatArray, wear: StepWear, p: FloatArray) -> FloatArray:
         """Return what is left of errors of depth (B, n) when pressures have given way to them."""
         const, slope = wear.lines(p)
-        slope = (slope * (const + slope * p > 0.0)).sum(axis=0)
+        slope = slope * (const + slope * p > 0.0)
+        slope = slope[0] if len(slope) == 1 else slope.sum(axis=0)
         inverse, relief = (p > 0.0) / (self.compliance.diagonal + slope), np.empty_like(p)
         _rows.respond(self.compliance, self.by_force, inverse, slope, _ROUGH, error.copy(), relief)
         return error + slope * relief

@@ -17,7 +17,7 @@ from ringwear_par.petsc import PETSc
 from ringwear_par.wear.step import StepWear
 
 #: iterations, residual that TAO is asked for, and natural residual of a solution
-_MOST, _ASKED, _ALLOWED = 300, 1e-12, 1e-8
+_MOST, _ASKED, _ALLOWED = 100, 1e-12, 1e-8
 #: largest systems that one rank factors; others take GMRES
 _LARGEST_FACTORED = 1024
 

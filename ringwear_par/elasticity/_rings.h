@@ -400,17 +400,16 @@ VERSIONS static void integrate(Tile *tile, Integrals *sums, const Element *e, in
                                const Sources *sources, int count, int at, int n,
                                const double *place, const double *weight, int add, double nu)
 {
-    const int whole = count + (-count & (VECTOR - 1));
+    const double origin = at < 0 ? 0.0 : 0.5 * at;
     double w[TILE], s[TILE][3];
     for (int q = 0; q < n; q++) {
         double *tr = tile->r + q * count, *ta = tile->a + q * count, *tb = tile->b + q * count;
-#pragma GCC ivdep
-        for (int i = 0; i < whole; i++) {
-            tr[i] = sources->r[i];
-            ta[i] = sources->a[i] + place[q] * e->dr;
-            tb[i] = sources->b[i] + place[q] * e->dz;
+        for (int i = 0; i < count; i += VECTOR) {
+            *(Vector *)(tr + i) = *(const Vector *)(sources->r + i);
+            *(Vector *)(ta + i) = *(const Vector *)(sources->a + i) + place[q] * e->dr;
+            *(Vector *)(tb + i) = *(const Vector *)(sources->b + i) + place[q] * e->dz;
         }
-        const double t = place[q] + (at < 0 ? 0.0 : 0.5 * at);
+        const double t = origin + place[q];
         w[q] = e->length * weight[q];
         s[q][0] = w[q] * (1.0 - t) * (1.0 - 2.0 * t);
         s[q][1] = w[q] * 4.0 * t * (1.0 - t);
@@ -434,7 +433,7 @@ VERSIONS static void integrate(Tile *tile, Integrals *sums, const Element *e, in
             }
             *h0 = x0, *h1 = x1, *h2 = x2, *g = x3;
         }
-    set_own(sums, e, pairs, whole, sources->z0, nu);
+    set_own(sums, e, pairs, count + (-count & (VECTOR - 1)), sources->z0, nu);
 }
 
 /* Return the least n points that serve, more than MAX_POINTS: none do. From the last answer on, as

@@ -167,17 +167,21 @@ cdef class Integrator:
 
     cdef void add(self, const int64_t *sources, int count) noexcept:
         """Add integrals to the rows of sources."""
-        cdef int64_t rows[TILE]
+        cdef int64_t rows[STRESS_PAIRS][TILE]
         cdef int64_t column
-        cdef int pair, k, i
+        cdef int64_t *at
+        cdef int pair, k, i, along_r = 2 * self.pairs // PAIRS
+        for k in range(self.rows.shape[0]):
+            for i in range(count):
+                rows[k][i] = self.rows[k, sources[i]]
         for pair in range(self.pairs):
             for i in range(count):
-                rows[i] = self.rows[pair, sources[i]]
                 self.own[pair, sources[i]] += self.sums.own[pair][i]
+            at = rows[pair if pair < along_r else pair - along_r]
             for k in range(4):
                 column = self.columns[self.number, pair, k]
                 if column >= 0:
-                    add_to_column(&self.matrix[column], rows, count,
+                    add_to_column(&self.matrix[column], at, count,
                                   self.factors[self.number, pair, k], self.sums.of[pair][k])
 
 
@@ -198,7 +202,8 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
     rules : Quadrature.
     columns, factors : (k, pairs, 4) int and float, where in the matrix the column of each integral
         starts, -1 for none, and its factor.
-    rows : (pairs, p) int, the row of each source, -1 for none.
+    rows : (3 or 6, p) int, the row of each source for components r, z, theta or rr, tt, zz, rz, rt,
+        tz, -1 for none.
     matrix : (size,) float, to which is added.
 
     Returns
@@ -221,15 +226,18 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
     cdef int c
     work.sources, work.nodes, work.rows, work.columns = sources, nodes, rows, columns
     work.factors, work.matrix, work.rules, work.poisson = factors, matrix, _rules(rules), poisson
-    work.pairs = work.rows.shape[0]
+    work.pairs = work.columns.shape[1]
+    along_r = 2 * work.pairs // PAIRS
     _need(
         work.pairs in (PAIRS, STRESS_PAIRS)
         and work.sources.shape[1] == elements.shape[1] == 3
         and work.nodes.shape[0] == work.rows.shape[1] == work.sources.shape[0]
         and work.columns.shape[0] == work.factors.shape[0] == elements.shape[0]
-        and work.columns.shape[1] == work.factors.shape[1] == work.pairs
+        and work.factors.shape[1] == work.pairs and 5 * work.rows.shape[0] == 3 * work.pairs
         and work.columns.shape[2] == work.factors.shape[2] == 4
-        and (columns.max(axis=(0, 2)) + rows.max(axis=1, initial=-1)).max() < work.matrix.shape[0],
+        and (columns.max(axis=(0, 2))
+             + np.vstack([rows[:along_r], rows]).max(axis=1, initial=-1)).max()
+        < work.matrix.shape[0],
         "numbers of sources, elements, rows and columns that are in their arrays",
     )
     own = np.zeros((work.pairs, work.sources.shape[0]))

@@ -252,10 +252,6 @@ class Measurements:
         )
         return replace(self, rows=rows)
 
-    def ambiguous_date(self, name: str) -> str:
-        """Return a date of a column of stamps whose order of day and month no date tells, or ""."""
-        return table_text.ambiguous_date(self.cells(name))
-
     def names_seconds(self, name: str, rows: BoolArray) -> bool:
         """Tell whether a column has stamps or clock times with seconds in the rows, no others."""
         cells = np.array(self.cells(name), dtype=object)[rows].tolist()
@@ -275,9 +271,9 @@ def and_more(count: int, noun: str) -> str:
 
 
 def read_measurements(
-    path: Path, *, labelled: bool = False, skip: int | None = None
+    path: Path, *, labelled: bool = False, skip: int | None = None, growing: bool = False
 ) -> Measurements:
-    """Read a table from a file, see ``measurements_in``. Not collective.
+    """Read a table from a file, see ``measurements_in``; of one that grows, its whole lines.
 
     Raises
     ------
@@ -288,6 +284,8 @@ def read_measurements(
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
+    if growing and not content.startswith(table_text.UTF_16):
+        content = content[: content.rfind(b"\n") + 1] or content
     return measurements_in(content, str(path), labelled=labelled, skip=skip)
 
 

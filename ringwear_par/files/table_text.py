@@ -29,6 +29,8 @@ _STAMP = re.compile(
 _DATE_ALONE = re.compile(_DATE, re.ASCII)
 #: h:mm:ss, or two of them
 _CLOCK = re.compile(r"(?:(\d+):(?=[0-5]\d:))?(\d+):([0-5]\d(?:[.,]\d*)?)", re.ASCII)
+#: marks at the beginning of files in UTF-16
+UTF_16 = b"\xff\xfe", b"\xfe\xff"
 _DAY, _HOUR, _MONTHS, _NOON = 86400.0, 3600.0, 12, 12
 #: century of years of two digits
 _CENTURY = 2000
@@ -208,7 +210,7 @@ def decode(path: str, content: bytes) -> str:
     ------
     InputError : it is no text.
     """
-    marked = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+    marked = content.startswith(UTF_16)
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252", "latin-1"):
         try:
             text = content.decode(encoding)

@@ -124,7 +124,7 @@ class Block:
 
     def worn_gap(self, wear: FloatArray) -> FloatArray:
         """Return the gaps (B, n) mm of undeformed profiles worn by (w, B, n) mm."""
-        return self.gap + wear.sum(axis=0)
+        return self.gap + total(wear)
 
     def both(self, wear: FloatArray) -> FloatArray:
         """Return the wear, or its rates, of lower and upper, (2, B, n), from those that wear."""
@@ -161,6 +161,11 @@ class Block:
     def sliding(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return speeds (rad/s) and coefficients of friction at times, (B,)."""
         return self.omega.at(time), self.friction.at(time)
+
+
+def total(of_bodies: FloatArray) -> FloatArray:
+    """Return the sum over the bodies that wear, (w, B, n) to (B, n); of one without a copy."""
+    return of_bodies[0] if len(of_bodies) == 1 else of_bodies.sum(axis=0)
 
 
 def block_key(case: Case) -> Hashable:

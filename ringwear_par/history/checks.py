@@ -184,7 +184,7 @@ def instability(block: Block, state: State) -> tuple[FloatArray, FloatArray]:
         )
     sliding = block.omega.y.max(axis=1), block.friction.y.max(axis=1)
     wear = block.step_wear(state.layer, zero, sliding, state.wear, zero + 1.0)
-    slope = wear.lines(np.tile(largest[:, None], block.gap.shape[1]))[1].sum(axis=0)
+    slope = np.nan_to_num(wear.lines(np.tile(largest[:, None], block.gap.shape[1]))[1]).sum(axis=0)
     steps = np.array([block.cases.every[i].time.step for i in block.number.tolist()])
     rates = [
         np.linalg.eigvals(np.linalg.solve(block.compliance.matrix(row), np.diag(slopes))).real.max()

@@ -1,6 +1,7 @@
 """Why histories of a block cannot go on, each in one sentence."""
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.cases.plausible import wear_question
 from ringwear_par.elasticity.sections import BODIES
@@ -25,25 +26,25 @@ def forget_faults(block: Block) -> None:
         getattr(law, "faults", {}).clear()
 
 
-def _law_fault(block: Block, row: int) -> str:
-    """Return what a user's law did wrong in a history, "" for nothing."""
+def _law_fault(block: Block, row: int, comm: MPI.Comm) -> str:
+    """Return what a user's law did wrong in a history on any rank, "" for nothing. Collective."""
     number = int(block.number[row])
     faults = (getattr(law, "faults", {}).get(number, "") for law in _laws(block))
-    return next(filter(None, faults), "")
+    return next(filter(None, comm.allgather(next(filter(None, faults), ""))), "")
 
 
-def contact_failure(block: Block, row: int) -> ComputationError:
-    """Return why a history has no contact before any wear."""
-    why = _law_fault(block, row) or "contact: is not solved"
+def contact_failure(block: Block, row: int, comm: MPI.Comm) -> ComputationError:
+    """Return why a history has no contact before any wear. Collective on comm."""
+    why = _law_fault(block, row, comm) or "contact: is not solved"
     return ComputationError(f"{why}; in step 0, before any wear")
 
 
 def step_failure(
-    block: Block, state: State, step: Step, row: int, share: float | None
+    block: Block, state: State, step: Step, row: int, share: float | None, comm: MPI.Comm
 ) -> ComputationError:
-    """Return why no step of a history is short enough."""
+    """Return why no step of a history is short enough. Collective on comm."""
     case = block.cases.every[int(block.number[row])]
-    if fault := _law_fault(block, row):
+    if fault := _law_fault(block, row, comm):
         why = fault
     elif step.failed[row]:
         why = "contact: is not solved, and no step is short enough"

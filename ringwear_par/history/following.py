@@ -78,13 +78,16 @@ class Following:
         both = block.both(wear)[:, 0]
         if np.array_equal(both, self._meshed):
             return block
-        case = block.cases.every[0]
+        case, old = block.cases.every[0], block.compliance
         try:
             self.pair = self._geometry.update(both)
+            line = Line.of([self.pair])
+            compliance = Compliance.of(line, old.pair, old.softness)
+            if not (compliance.diagonal > 0.0).all():
+                raise ComputationError("an element of the worn geometry gives way upwards")
         except ComputationError as error:
             raise ComputationError(_slivers(case.line, both) or str(error)) from error
         self._meshed, self.cost = both, self.cost + self.pair.cost
-        line = Line.of([self.pair])
         bodies = tuple(
             body if body.average is None else replace(
                 body, average=Average(averaging(line.r, line.true_area, case.laws[body.body].length))  # type: ignore[union-attr]  # noqa: E501
@@ -94,7 +97,7 @@ class Following:
         return replace(
             block,
             line=line,
-            compliance=Compliance.of(line, block.compliance.pair, block.compliance.softness),
+            compliance=compliance,
             gap=case.initial_gap[None] - offset,
             wearing=bodies,
         )

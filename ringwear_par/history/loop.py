@@ -33,7 +33,7 @@ from ringwear_par.history.layers import enter_layers, settled
 from ringwear_par.history.schemes import Scheme, Solver, explicit, implicit, sdirk2, start
 from ringwear_par.history.state import State
 from ringwear_par.options import contact_solver
-from ringwear_par.parallel import as_on_first_rank
+from ringwear_par.parallel import as_on_first_rank, on_any_rank
 
 #: error of gaps in contact, over the tolerance of wear
 _GAP = 0.2
@@ -110,9 +110,10 @@ def simulate(
     failures: dict[int, Exception] = {}
     if first is None:
         state, lost = start(block, solver)
+        lost = on_any_rank(comm, lost)  # a law may fail on one rank alone
         state = replace(state, length=first_length(block, state, share))
         failures |= interpenetration(block, solver)
-        failures |= {i: contact_failure(block, i) for i in np.flatnonzero(lost).tolist()}
+        failures |= {i: contact_failure(block, i, comm) for i in np.flatnonzero(lost).tolist()}
         going = np.array([i not in failures for i in range(len(block))])
         if going.any() and save(_instant(block, state, going, going, ~going, following)):
             return failures
@@ -136,17 +137,18 @@ def simulate(
         step = scheme(block, solver, state, end, pace)
         if block.layered:
             step = enter_layers(block, state, step)
+        step = replace(step, failed=on_any_rank(comm, step.failed))
         verdict = judge(block, state, step, share, is_cut, going, order)
         # ranks may differ by round-off, or by their processor: the first decides
         accepted, stuck, length = as_on_first_rank(comm, verdict)
         before = state
         state = _after(block, state, step.state, accepted, step_error(block, step, share))
-        if (entered := (state.layer != before.layer).any(axis=(0, 2))).any():
-            state = settled(block, solver, state, entered)
+        if block.layered and (entered := state.layer != before.layer).any():
+            state = settled(block, solver, state, entered.any(axis=(0, 2)))
         state = replace(state, length=length, interface=np.where(going, step.interface, np.inf))
         off = accepted & _is_off(block, state)
         for row in np.flatnonzero(stuck & going).tolist():
-            failures[int(block.number[row])] = step_failure(block, state, step, row, share)
+            failures[int(block.number[row])] = step_failure(block, state, step, row, share, comm)
         for row in np.flatnonzero(off).tolist():
             failures[int(block.number[row])] = deep_wear_failure(block, state, row)
         passed = accepted & (state.time >= block.limits[np.arange(len(block)), limit])

@@ -14,7 +14,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.contact.block import BlockSolver
 from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
-from ringwear_par.history.block import Block
+from ringwear_par.history.block import Block, total
 from ringwear_par.history.state import State, Step, step_of
 
 Solver = BlockSolver | TaoContact
@@ -49,11 +49,11 @@ def sdirk2(
         rates.append(depths / (GAMMA * h)[:, None])
         moments.append(block.moment(p))
         failed, iterations = failed | lost, iterations + more
-    error = sum(c * rate.sum(axis=0) for c, rate in zip(_DEFECT, rates, strict=True)) * h[:, None]
+    error = sum(c * total(rate) for c, rate in zip(_DEFECT, rates, strict=True)) * h[:, None]
     error = np.abs(solver.filtered(error, stage, p))
     entered = (state.pressure <= 0.0) & (p > 0.0)
     if entered.any():  # at some time within the step, which the stages do not know
-        elastic, worn = block.compliance.diagonal * p, depths.sum(axis=0)
+        elastic, worn = block.compliance.diagonal * p, total(depths)
         error += np.where(entered, _ENTRY * elastic * worn / (elastic + worn + 1e-300), 0.0)
     works = np.array([omega * m for (omega, _), m in zip(sliding, moments, strict=True)])
     powers = works * np.array([friction for _, friction in sliding])
@@ -142,7 +142,7 @@ def rates_at(
 
 
 def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
-    """Return the contacts before any wear, and which failed."""
+    """Return the contacts before any wear, and which failed, or have no rates."""
     count = len(block)
     zero, p, none = np.zeros(count), np.zeros_like(block.gap), np.zeros(count, np.int64)
     wear = np.zeros((len(block.wearing), *p.shape))
@@ -155,4 +155,4 @@ def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
         zero, zero, zero, wear, rates, layer, p, d, d, np.full((count, 2), np.inf),
         none, iterations, zero, zero, never,
     )  # fmt: skip
-    return state, failed
+    return state, failed | ~np.isfinite(rates).all(axis=(0, 2))

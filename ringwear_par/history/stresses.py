@@ -10,6 +10,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, Side
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.elasticity.stress.fields import MESH_FIELDS
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery, interfaces
 from ringwear_par.history.elastic import bodies, boundary_recovery, operator_key
 
@@ -22,8 +23,6 @@ _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 _PLACE = ("r", "z", "layer")
 #: arrays that are stored of single histories alone
 _FIELDS = ("stress_grid", *(f"surface_stress_{body}" for body in BODIES))
-#: arrays of boundaries that are the same at all states
-BOUNDARY_MESHES = tuple(f"boundary/{b}/{name}" for b in BODIES for name in ("elements", "face"))
 
 
 class Moment(NamedTuple):
@@ -90,7 +89,7 @@ class Boundaries:
     def arrays(self) -> dict[str, Any]:
         """Return the fields so far by place."""
         data = stacked(self.states)
-        return {name: v[0] if name in BOUNDARY_MESHES else v for name, v in data.items()}
+        return {n: v[0] if n.endswith(MESH_FIELDS) else v for n, v in data.items()}
 
 
 def stress_key(case: Case) -> Hashable:

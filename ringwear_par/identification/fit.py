@@ -11,10 +11,10 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem, body_of_wear
+from ringwear_par.identification.definition.series import BLOCKS, averaged
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_tests import fitted_test, scores_and_information

@@ -5,7 +5,7 @@ Answers are written, and printed, as text and as a page, whenever the test's fil
 
 import logging
 import time
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -15,27 +15,22 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError, counted, legible, reason_of, warning_lines
+from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
+from ringwear_par.identification.definition.fit_file import experiment_names, read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
+from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.identification.summary import users_numbers
-from ringwear_par.monitoring.follower import Follower, frame_of
-from ringwear_par.monitoring.monitor import Monitor, Question
-from ringwear_par.monitoring.running_test import RunningTest
+from ringwear_par.monitoring.answer import Monitor
+from ringwear_par.monitoring.follower import Follower
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
-from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
-from ringwear_par.prediction.prediction import depth_line, read_depth
-from ringwear_par.reports import blocks
+from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
-from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
@@ -45,10 +40,74 @@ log = logging.getLogger(__name__)
 PAGE = "follow.html"
 #: s between two looks at the files; between two pages, and two answers that are printed
 _LOOK, _PAUSE = 0.2, 5.0
-#: s, after which a browser loads the page anew
-_REFRESH = 10
 #: fewest draws
 _FEWEST = 2000
+
+
+class RunningTest:
+    """An experiment of a fit file that runs, by its name; None: the last one.
+
+    Raises
+    ------
+    InputError : there is none of this name.
+    """
+
+    def __init__(self, source: Path, name: str | None) -> None:
+        #: names of all experiments
+        self.names = experiment_names(source)
+        if not self.names:  # the fit file's own sentences say why
+            read_fit(source)
+        #: the fit file, and the name of the experiment
+        self.source, self.name = source, self.names[-1] if name is None else name
+        if self.name not in self.names:
+            known = ", ".join(map(legible, self.names))
+            raise InputError(f"--test = {legible(self.name)}: must be one of {known} of {source}")
+        self._files = {source.name}
+
+    @property
+    def file_stamps(self) -> list[tuple[int, int, int]]:
+        """What changes when the fit file or a file that was read is written to."""
+        stamps = []
+        for name in sorted(self._files):
+            with suppress(OSError):  # it may be replaced just now
+                status = (self.source.parent / name).stat()
+                stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
+        return stamps
+
+    def other_tests(self) -> Problem:
+        """Return the problem of the other tests of the fit file, to be fitted before.
+
+        Raises
+        ------
+        InputError : faults of the file; there is none, or they cannot tell what scatters.
+        """
+        if len(self.names) == 1:
+            raise InputError(
+                f"{self.source}: has no test but {legible(self.name)}; --after must name the "
+                "folder of a fit of others"
+            )
+        return read_fit(self.source, running=self.name, others=True)
+
+    def read(self) -> Problem:
+        """Return the problem of this test alone, with its readings so far.
+
+        Raises
+        ------
+        InputError : its faults, and what cannot be followed.
+        """
+        problem = read_fit(self.source, running=self.name)
+        self._files |= {*problem.hashes}
+        (test,) = problem.experiments
+        faults = [
+            f"{self.source}: {legible(self.name)}: {series.file or series.name}: {assumption}; its "
+            "unit must be given"
+            for series in test.series
+            for assumption in series.assumptions
+        ]
+        if faults:
+            raise InputError(*faults)
+        series = tuple(averaged(record, test.case.time.end) for record in test.series)
+        return replace(problem, experiments=(replace(test, series=series),))
 
 
 def run_follow(
@@ -60,7 +119,7 @@ def run_follow(
     test: str | None = None,
     to: str = "10%",
     depth: str | None = None,
-    draws: int = 100_000,
+    draws: int = 20_000,
     seed: int = 0,
     once: bool = False,
 ) -> None:
@@ -91,43 +150,50 @@ def run_follow(
         if faults:
             raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
-        running = RunningTest.of(source, test)
+        running = RunningTest(source, test)
         running.read()
         return running, percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
     fit = after or fit_problem(on_first_rank(comm, running.other_tests), comm)
     known = on_first_rank(comm, lambda: fit_draws(fit))
-    read = partial(_followed, running, after, known, percent, mm)
     with StopSignals() as signals:
-        readings = Readings(on_first_rank(comm, read)[0], comm, signals)
+        readings = Readings(on_first_rank(comm, running.read), comm, signals)
 
-        def monitor_of(problem: Problem, question: Question) -> Monitor:
+        def monitor_of(problem: Problem) -> Monitor:
+            problem, of, doubts = _followed(running, problem, after, known)
             readings.tell(f"histories of {legible(running.name)}")
-            return Monitor(Follower(known, question.of, problem, readings, draws, seed), question)
+            # the interval of the first wear rate is to become narrow
+            rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
+            follower = Follower(known, of, problem, readings, draws, seed)
+            return Monitor(follower, ((*rates, 0)[0], percent), mm, doubts)
 
-        lines = readings.lead(lambda: _loop(running, read, monitor_of, folder, once, signals))
-    if comm.rank == 0:
-        print("\n".join(lines))
+        readings.lead(lambda: _loop(running, monitor_of, folder, once, signals))
+
+
+def _percent(text: str, faults: list[str]) -> float:
+    with suppress(ValueError):
+        if 1.0 <= (percent := float(text.strip().removesuffix("%"))) < 100.0:
+            return percent
+    faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
+    return np.nan
 
 
 def _followed(
-    running: RunningTest, after: Path | None, draws: Draws, percent: float, depth: float | None
-) -> tuple[Problem, Question]:
-    """Return the problem of a test, with the random wear that the fit knows, and what is asked.
+    running: RunningTest, problem: Problem, after: Path | None, draws: Draws
+) -> tuple[Problem, str, list[str]]:
+    """Return the problem of a test with the random wear that the fit knows, whose test, and doubts.
 
-    On one rank; InputError for the test of another fit.
+    InputError for the test of another fit.
     """
-    problem, place = running.read(), f"{running.source}: {legible(running.name)}"
-    tested: Container[str] = ()
     if after:
         with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
-            tested = dict(outcome["experiments"])
-    if running.name in tested:
-        raise InputError(
-            f"{place}: is among the tests of {after}, so that its readings would count twice; "
-            "must be followed after a fit without it"
-        )
+            tested = running.name in outcome["experiments"]
+        if tested:
+            raise InputError(
+                f"{running.source}: {legible(running.name)}: is among the tests of {after}, so "
+                "that its readings would count twice; must be followed after a fit without it"
+            )
     if problem.keys != draws.keys:
         raise InputError(
             f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
@@ -139,21 +205,23 @@ def _followed(
     sizes = zip(BODIES, draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
     problem = replace(problem, settings=replace(problem.settings, process=process))
-    doubts = tuple(doubt.text for doubt in doubts_of(draws, test.case, of))
-    # the interval of the first wear rate is to become narrow
-    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
-    return problem, Question((*rates, 0)[0], percent, depth, of, doubts)
+    return problem, of, [doubt.text for doubt in doubts_of(draws, test.case, of)]
+
+
+def frame_of(problem: Problem) -> tuple[Hashable, ...]:
+    """Return all of a problem of one test but its readings over time, which histories are for."""
+    (test,) = problem.experiments
+    return (problem.text, test.case.text, *(s.x.tobytes() for s in test.series if not s.timed))
 
 
 def _loop(
     running: RunningTest,
-    read: Callable[[], tuple[Problem, Question]],
-    monitor_of: Callable[[Problem, Question], Monitor],
+    monitor_of: Callable[[Problem], Monitor],
     folder: Path,
     once: bool,
     signals: StopSignals,
-) -> list[str]:
-    """Answer whenever the files change, until the end of the test; return the last words."""
+) -> None:
+    """Answer whenever the files change, until the end of the test."""
     answer: dict[str, Any] = {}
     stamps, warned, frame, printed, alarmed, ended = None, "", None, -_PAUSE, False, False
     while not (ended or signals.received):
@@ -162,9 +230,9 @@ def _loop(
             continue
         stamps = present
         try:
-            problem, question = read()
+            problem = running.read()
             if frame_of(problem) != frame:
-                monitor, frame = monitor_of(problem, question), frame_of(problem)
+                monitor, frame = monitor_of(problem), frame_of(problem)
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -175,87 +243,21 @@ def _loop(
         except StoppedError:
             break
         answer = {**monitor.answer(problem), "versions": versions()}
-        answer["summary"], ended = lines_of(answer), once or answer["ended"]
         write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, answer)})
-        alarm = answer["alarm"] is not None
+        ended, alarm = once or answer["ended"], answer["alarm"] is not None
         if not ended and (alarm > alarmed or time.monotonic() - printed > _PAUSE):
-            _write_page(folder / PAGE, answer, monitor)
-            print("\n".join(_printed(answer)), flush=True)
+            _show(folder, monitor, answer)
             printed, alarmed = time.monotonic(), alarm
     if not answer:
         raise StoppedError("stopped before the first answer")
-    written = _write_page(folder / PAGE, answer, monitor)
-    return [*_printed(answer), *written, f"written: {folder / FOLLOW}"]
+    print("\n".join([*_show(folder, monitor, answer), f"written: {folder / FOLLOW}"]))
 
 
-def _printed(answer: Mapping[str, Any]) -> list[str]:
-    return [*answer["summary"], *warning_lines(answer["doubts"])]
-
-
-def _write_page(page: Path, answer: dict[str, Any], monitor: Monitor) -> list[str]:
-    """Write the page of an answer; return a line about it."""
+def _show(folder: Path, monitor: Monitor, answer: dict[str, Any]) -> list[str]:
+    """Print an answer, and write its page; return a line about that."""
+    print("\n".join([*answer["summary"], *warning_lines(answer["doubts"])]), flush=True)
     try:
-        check_page(page)
+        check_page(folder / PAGE)
     except InputError as error:
         return warning_lines([str(error)])
-    return [f"written: {write_page(page_of(answer, monitor.record()), page)}"]
-
-
-def _percent(text: str, faults: list[str]) -> float:
-    with suppress(ValueError):
-        if 1.0 <= (percent := float(text.strip().removesuffix("%"))) < 100.0:
-            return percent
-    faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
-    return np.nan
-
-
-def lines_of(answer: Mapping[str, Any]) -> list[str]:
-    """Return the contents of follow.json in lines of text, but for its doubts."""
-    goal, end, level = answer["goal"], answer["end"], f"{100 * answer['level']:g} %"
-    time = f"{time_words(answer['time'], end)} of {time_words(end, end)}"
-    lines = [f"{answer['test']}: {counted(answer['readings'], 'reading')} to {time}"]
-    for key, entry in answer["keys"].items():
-        numbers, unit = users_numbers(entry)
-        (low, high), (first, last) = numbers["interval"], numbers["before"]
-        estimate = f"{numbers['estimate']:.3g} {unit}".rstrip()
-        lines.append(
-            f"  {key}  {estimate} of this specimen  from {low:.3g} to {high:.3g} ({level}, "
-            f"+-{entry['percent']:.2g} %; before the test {first:.3g} to {last:.3g})"
-        )
-    when = f"not before the end, +-{goal['at_end']:.2g} % is expected there"
-    if goal["time"] is not None:
-        left = goal["time"] - answer["time"]
-        when = "reached" if left <= 0.0 else f"in {time_words(left, end)}"
-    lines.append(f"  {goal['key']} to +-{goal['percent']:g} %: {when}")
-    if answer["depth"] is not None:
-        lines.append(f"  {depth_line(answer['depth'], end)}")
-    return lines
-
-
-def page_of(answer: Mapping[str, Any], record: Panel | None) -> blocks.Page:
-    """Return the page, which a browser loads anew while the test runs.
-
-    Parameters
-    ----------
-    record : the readings with their band; None: there is none.
-    """
-    unit, seconds = time_unit(answer["end"])
-    key, level = answer["goal"]["key"], f"{100 * answer['level']:g} %"
-    numbers, unit_of_key = users_numbers(answer["keys"][key])
-    time, *ends = np.array(answer["trace"]).T
-    time, (low, median, high) = time / seconds, np.array(ends) / numbers["scale"]
-    of_key = Panel(
-        Axis(f"time ({unit})"), Axis(f"{key} ({in_signs(unit_of_key or '1')})"),
-        "by the readings until then",
-        curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
-        bands=[Band(time, low, high, level, ("low", "high"))],
-    )  # fmt: skip
-    charts = [blocks.Chart("key", of_key, f"{key} and its interval over the time of the test")]
-    if record is not None:
-        charts.append(blocks.Chart("record", record, "Readings, and histories of this specimen"))
-    summary: list[blocks.Block] = [blocks.Lines([*map(with_signs, answer["summary"])])]
-    summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
-    over_time = blocks.Section("Over time", [blocks.Charts(charts)])
-    sections = [blocks.Section("Summary", summary), over_time]
-    refresh = 0 if answer["ended"] else _REFRESH
-    return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
+    return [f"written: {write_page(monitor.page(answer), folder / PAGE)}"]

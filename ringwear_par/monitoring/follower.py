@@ -8,27 +8,26 @@ Methods in Practice, 197-223). All of it starts from the draws before the test, 
 before.
 """
 
-from collections.abc import Hashable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import (
     Experiment,
-    Loss,
     Problem,
     Series,
     body_of_wear,
     records,
     reflected,
 )
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS, Trajectory
 from ringwear_par.identification.draws import Draws
-from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
+from ringwear_par.identification.emulator import Box, Emulator, emulate
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import (
     LOG_SHARES,
@@ -39,53 +38,31 @@ from ringwear_par.identification.likelihood import (
 from ringwear_par.identification.readings import TimeInterpolation
 from ringwear_par.identification.setting import needs_middle, settings_at
 
-#: histories that polynomials are made of by the number of fitted keys, and most of them
-_HISTORIES, _MOST_HISTORIES = {1: 64, 2: 192, 3: 320}, 448
-#: draws that a box is about, and its margin
-_BOXED, _MARGIN = 10_000, 0.1
+#: histories that polynomials are made of, for each fitted key and most; margin of their box
+_HISTORIES, _MOST_HISTORIES, _MARGIN = 128, 448, 0.1
 #: scale of a quantity over its spread, and error of polynomials in it that is small enough
 _SCALE, _CLOSE = 1e-3, 0.03
 #: share of random wear where clocks are found, which hardly depend on it
 _TYPICAL_SHARE = 0.05
-#: effective number of draws that is enough, and share of them; factor between powers that are tried
-_ENOUGH, _ENOUGH_SHARE, _LESS = 2000.0, 0.2, 0.8
-#: draws in one go, and draws that growth times are judged by
-_LOT, _JUDGED = 10_000, 64
-#: number of new draws; width of their kernels over the best one of a normal density; variance that
-#: they have along what is known exactly
-_ANEW, _WIDTH = 20_000, 0.5
-_EXACT = 1e-12
-
-
-def frame_of(problem: Problem) -> tuple[Hashable, ...]:
-    """Return all of a problem of one test but its readings over time, which histories are for."""
-    (test,) = problem.experiments
-    fixed = (s.x.tobytes() for s in test.series if READING_KINDS[s.kind].values is None)
-    return (problem.text, test.case.text, *fixed)
-
-
-def part_of(test: Experiment, rows: BoolArray) -> Experiment:
-    """Return a test with some of its readings (n,), without series that their nuisances explain."""
-    parts = [series.part(rows[place]) for series, place in records(test.series)]
-    informative = (
-        s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None)
-    )
-    return replace(test, series=tuple(informative))
+#: effective share of the draws that is enough; factor between powers that are tried
+_ENOUGH, _LESS = 0.1, 0.8
+#: width of kernels over the best one of a normal density; variance of what is known exactly
+_WIDTH, _EXACT = 0.5, 1e-12
+#: draws that growth times are judged by
+_JUDGED = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Histories:
     """Histories of a test at unknowns of its keys, from which its readings are taken."""
 
-    #: its approach, torque, volumes and masses at the ends of steps; profiles and times at which
-    #: layers are worn through, as they are read
+    #: the test, read at the ends of all steps; profiles and times at which layers are worn through
+    #: as they are
     plan: Experiment
     #: of the readings of the plan
     emulator: Emulator
     #: how these follow random wear and the calibration of measured inputs
     setting: Setting
-    #: (1 + r,) 1 and the coordinates of the history at the middle of the draws
-    middle: FloatArray
 
     @classmethod
     def of(cls, readings: Readings, problem: Problem, x: FloatArray) -> "Histories":
@@ -95,15 +72,14 @@ class Histories:
         ------
         ComputationError : hardly any draw has a history.
         """
-        (test,), bodies = problem.experiments, len(problem.settings.process)
-        plan, middle = _plan(test), np.median(x, axis=0)
+        bodies, count = len(problem.settings.process), min(_HISTORIES * x.shape[1], _MOST_HISTORIES)
+        plan, middle = _plan(problem), np.median(x, axis=0)[None]
         readings.problem = replace(problem, experiments=(plan,))
         settings = [Setting.before(plan, bodies=bodies)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _TYPICAL_SHARE)
-            settings = settings_at(readings, settings, middle[None], shares, first=True)
-        box = Box.about(x[:_BOXED], *problem.unknown_bounds, _MARGIN)
-        count = _HISTORIES.get(x.shape[1], _MOST_HISTORIES)
+            settings = settings_at(readings, settings, middle, shares, first=True)
+        box = Box.about(x, *problem.unknown_bounds, _MARGIN)
         points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
         points = points[box.holds(points)]
         (y,) = readings([(0, points)])
@@ -114,10 +90,8 @@ class Histories:
         sd = y[good].std(axis=0)
         for _, part in records(plan.series):
             sd[part] = sd[part].max() or 1.0
-        root = np.linalg.cholesky(np.atleast_2d(np.cov(x.T)))
-        distance = np.linalg.norm(np.linalg.solve(root, (points[good] - middle).T), axis=0)
-        emulator, _ = emulate(box, points, y, _SCALE * sd, nearness(distance), _CLOSE)
-        return cls(plan, emulator, settings[0], np.append(1.0, emulator.coordinates(middle[None])))
+        emulator, _ = emulate(box, points, y, _SCALE * sd, np.ones(good.sum()), _CLOSE)
+        return cls(plan, emulator, settings[0])
 
     @property
     def error(self) -> float:
@@ -125,74 +99,58 @@ class Histories:
         return _SCALE * self.emulator.error
 
     @property
-    def columns(self) -> FloatArray:
-        """Readings (n, 1 + r) of the plan by 1 and the coordinates."""
-        return np.column_stack([self.emulator.mean, self.emulator.modes.T])
-
-    @property
     def time(self) -> FloatArray:
         """(steps,) s, ends of steps, the start included."""
         return self.plan.series[0].x
 
-    def at_steps(self, quantity: str) -> FloatArray:
-        """Return (steps, 1 + r) a quantity by 1 and the coordinates; "depth" is mean, in mm."""
-        volume = quantity.replace("depth", "volume")
-        part = self._parts(self.columns)[f"all {volume}"]
-        return part if volume == quantity else part / self.plan.case.area
-
-    def _parts(self, columns: FloatArray) -> dict[str, FloatArray]:
-        """Return readings (n, ...) of the plan by the names of its series."""
+    def _by_series(self, columns: FloatArray) -> dict[str, FloatArray]:
         return {series.name: columns[part] for series, part in records(self.plan.series)}
 
-    def read(self, columns: FloatArray, test: Experiment) -> FloatArray:
-        """Return the readings (n, ...) of a test by those of the plan."""
-        parts, nothing = self._parts(columns), np.full((len(self.time), *columns.shape[1:]), np.nan)
-        volume, mass = (
-            np.stack([parts.get(f"all {quantity}.{body}", nothing) for body in BODIES])
-            for quantity in ("volume", "mass")
-        )
-        history = Trajectory(
-            self.time, parts["all approach"], parts["all torque"], volume, nothing, mass, nothing
-        )
+    @cached_property
+    def parts(self) -> dict[str, FloatArray]:
+        """Readings (n, 1 + r) of the plan by 1 and the coordinates, by the names of series."""
+        return self._by_series(np.column_stack([self.emulator.mean, self.emulator.modes.T]))
+
+    def read(self, parts: Mapping[str, FloatArray], test: Experiment) -> FloatArray:
+        """Return the readings (n, ...) of a test by those of the plan, by the names of series."""
         breaks, readings = (0.0, *test.case.breakpoints, test.case.time.end), []
         for series in test.series:
-            values = READING_KINDS[series.kind].values
-            if values is None:
-                readings.append(parts[series.name])
-            else:
-                between = TimeInterpolation(self.time, series.x, breaks)
-                read = values(history, BODIES.index(series.body), series.density)
-                readings.append(between(read))
+            part = parts[series.name]
+            if series.timed:
+                part = TimeInterpolation(self.time, series.x, breaks)(part)
+            readings.append(part)
         return np.concatenate(readings)
 
     def emulator_of(self, test: Experiment) -> Emulator:
         """Return the emulator of the readings of a test."""
-        both = self.read(self.columns, test)
+        both = self.read(self.parts, test)
         return replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
 
-    def setting_of(self, test: Experiment, loss: Loss) -> Setting:
-        """Return the setting of a test before its readings are looked at."""
+    def setting_of(self, test: Experiment, *, outliers: bool = False) -> Setting:
+        """Return the setting of a test before its readings, perhaps outliers, are looked at."""
         clocks = []
         for felt, share in self.setting.clocks:
             depth = np.interp(test.times, self.time, share[: len(self.time)])
-            answer = self.read(felt * share, test)
+            answer = self.read(self._by_series(felt * share), test)
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
-        scales = tuple(self.read(scale, test) for scale in self.setting.scales)
-        before = Setting.before(test, loss, len(clocks))
+        scales = tuple(self.read(self._by_series(scale), test) for scale in self.setting.scales)
+        before = Setting.before(test, "student" if outliers else "gaussian", len(clocks))
         return replace(before, clocks=tuple(clocks), scales=scales)
 
 
-def _plan(test: Experiment) -> Experiment:
-    """Return a test whose readings are all of a history that others are taken from."""
+def _plan(problem: Problem) -> Experiment:
+    """Return a test whose readings over time are at all steps, its approach and volumes too."""
+    (test,) = problem.experiments
     times = np.append(0.0, step_times(test))
-    quantities = ["approach", "torque", *(f"volume.{body}" for body in BODIES)]
-    for body, ring in zip(BODIES, test.case.rings, strict=True):
-        quantities += [f"mass.{body}"] * (bool(ring.layers) and None not in ring.densities)
-    zero, one = np.zeros(len(times)), np.ones(len(times))
-    series = [Series(f"all {q}", q, times, zero, one, density=None) for q in quantities]
-    fixed = [s for s in test.series if READING_KINDS[s.kind].values is None]
-    return replace(test, series=(*series, *fixed))
+    bodies = map(body_of_wear, problem.settings.process)
+    always = [(q, q, 1.0) for q in ("approach", *(f"volume.{body}" for body in bodies))]
+    timed = [(s.name, s.quantity, s.density) for s in test.series if s.timed]
+    at_steps = {
+        name: Series(name, quantity, times, 0.0 * times, 0.0 * times + 1.0, density=density)
+        for name, quantity, density in (*always, *timed)
+    }
+    return replace(test, series=(*at_steps.values(), *(s for s in test.series if not s.timed)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,26 +159,21 @@ class Specimen:
 
     #: (s, m + bodies) unknowns, and logarithms of the sizes of random wear
     unknowns: FloatArray
-    #: (s, r) of their histories
-    coordinates: FloatArray
-    #: (s,) which sum to 1
-    weights: FloatArray
+    #: (s, 1 + r) 1 and the coordinates of their histories
+    v: FloatArray
     #: (bodies,) rms share of random wear
     shares: FloatArray
-    #: None before any reading
-    likelihood: EmulatedLikelihood | None = None
+    likelihood: EmulatedLikelihood
 
-    def chosen(self, count: int) -> FloatArray:
-        """Return 1 and the coordinates, (count, 1 + r), of draws as often as they weigh."""
-        rows = np.random.default_rng(count).choice(len(self.weights), count, p=self.weights)
-        return np.column_stack([np.ones(count), self.coordinates[rows]])
+    @property
+    def test(self) -> Experiment:
+        """The test, with these readings."""
+        return self.likelihood.likelihood.test
 
-    def quantiles(self, values: FloatArray, probabilities: FloatArray) -> FloatArray:
-        """Return quantiles of values (s,) of the draws."""
-        order = np.argsort(values)
-        centred = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
-        between: FloatArray = np.interp(probabilities, centred, values[order])
-        return between
+    def some(self, count: int) -> "Specimen":
+        """Return about so many of the draws."""
+        rows = slice(None, None, max(1, len(self.v) // count))
+        return replace(self, unknowns=self.unknowns[rows], v=self.v[rows])
 
 
 class Follower:
@@ -239,109 +192,96 @@ class Follower:
     def __init__(
         self, draws: Draws, of: str, problem: Problem, readings: Readings, count: int, seed: int
     ) -> None:
-        bodies = [body_of_wear(key) for key in problem.settings.process]
         x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
-        self.draws, self.m, self._seed, self.problem = draws, x.shape[1], seed, problem
-        self.histories = histories = Histories.of(readings, problem, x)
-        # (bodies, 1 + r) at the end of the test
-        depths = np.array([histories.at_steps(f"depth.{body}")[-1] for body in bodies])
-        self._depths = depths.reshape(-1, len(histories.middle))
-        #: (bodies,) mm, depths of the middle history at the end, of which shares are
-        self.most = self._depths @ histories.middle
-        every = np.column_stack([x, np.log(sizes[:, [BODIES.index(body) for body in bodies]])])
-        every = every[histories.emulator.holds(x)]
-        self.before = self._specimen(every, self._coordinates(every), np.zeros(len(every)))
-
-    def _specimen(self, x: FloatArray, coordinates: FloatArray, logs: FloatArray) -> Specimen:
-        weights = softmax(logs)
-        rms = np.sqrt(weights @ self._shares(x, coordinates) ** 2)
-        return Specimen(x, coordinates, weights, rms)
+        self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
+        self.m, self.bodies = x.shape[1], [body_of_wear(key) for key in problem.settings.process]
+        self.histories = Histories.of(readings, problem, x)
+        area = problem.experiments[0].case.area
+        every = np.column_stack([x, np.log(sizes[:, [BODIES.index(body) for body in self.bodies]])])
+        #: (s, m + bodies) before the test, see ``Specimen``
+        self.before = every[self.histories.emulator.holds(x)]
+        self._v = self._coordinates(self.before)
+        # (bodies, 1 + r) mm, worn at the end of the test
+        ends = [self.histories.parts[f"volume.{body}"][-1] / area for body in self.bodies]
+        self._depths = np.reshape(ends, (len(ends), self._v.shape[1]))
+        #: (bodies,) of the middle of the draws, of which shares are
+        self.most = self._depths @ self._coordinates(np.median(x, axis=0)[None])[0]
 
     def _coordinates(self, x: FloatArray) -> FloatArray:
-        lots = np.array_split(x[:, : self.m], 1 + len(x) // _LOT)
-        return np.concatenate([self.histories.emulator.coordinates(lot) for lot in lots])
+        return np.insert(self.histories.emulator.coordinates(x[:, : self.m]), 0, 1.0, axis=1)
 
-    def _shares(self, x: FloatArray, coordinates: FloatArray) -> FloatArray:
+    def _shares(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return the shares (s, bodies) of random wear: by its size, and the depth of the draw."""
-        depths = np.maximum(self._depths[:, 0] + coordinates @ self._depths[:, 1:].T, 0.0)
-        shares = np.sqrt(np.exp(x[:, self.m :]) * depths) / self.most
-        return np.clip(shares, *np.exp(LOG_SHARES))
+        sizes, depths = np.exp(x[:, self.m :]), np.maximum(v @ self._depths.T, 0.0)
+        return np.clip(np.sqrt(sizes * depths) / self.most, *np.exp(LOG_SHARES))
 
     def update(self, test: Experiment) -> Specimen:
         """Return the draws by the readings of a test."""
-        specimen, loss = self.before, self.problem.settings.loss
-        if not test.series:
-            return specimen
-        emulator, setting = self.histories.emulator_of(test), self.histories.setting_of(test, loss)
-        specimen = self._weighed(test, setting, specimen)
+        loss, rms = self.problem.settings.loss, _rms(self._shares(self.before, self._v))
+        setting = self.histories.setting_of(test, outliers=loss == "student")
+        specimen = self._weighed(test, setting, rms)
         if needs_middle(self.problem):  # which these draws tell
-            assert specimen.likelihood is not None
-            some = specimen.chosen(_JUDGED) @ np.vstack([emulator.mean, emulator.modes])
-            likelihood, middle = specimen.likelihood.likelihood, self.middle(specimen, test)
-            times = likelihood.with_times_that_count(some).times
-            setting = replace(likelihood.adapted(middle, loss), times=times)
-            specimen = self._weighed(test, setting, specimen)
+            old = specimen.likelihood.likelihood
+            readings = self.histories.read(self.histories.parts, test).T
+            times = old.with_times_that_count(specimen.some(_JUDGED).v @ readings).times
+            setting = old.adapted(self.middle(specimen, test), loss)
+            specimen = self._weighed(test, replace(setting, times=times), specimen.shares)
         return specimen
 
     def middle(self, specimen: Specimen, test: Experiment) -> FloatArray:
-        """Return readings (n,) of a test by the mean history."""
-        emulator = self.histories.emulator_of(test)
-        return emulator.mean + specimen.weights @ specimen.coordinates @ emulator.modes
+        """Return the readings (n,) of a test by the mean history."""
+        return self.histories.read(self.histories.parts, test) @ specimen.v.mean(axis=0)
 
-    def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
-        """Return the likelihood of other readings: noise and growth times as of the specimen's."""
-        setting, known = self.histories.setting_of(test, "gaussian"), {}
-        if specimen.likelihood is not None:
-            old = specimen.likelihood.likelihood
-            for i, (s, part) in enumerate(records(old.test.series)):
-                scale = float(np.median(old.setting.sd[part] / s.sd)) if s.sd_fitted else 1.0
-                known[s.name] = scale, old.setting.times.get(i)
-        sd = np.concatenate([known.get(s.name, (1.0,))[0] * s.sd for s in test.series])
-        times = {
-            i: known.get(test.series[i].name, (1.0, None))[1] or ends
-            for i, ends in setting.times.items()
-        }
-        likelihood = TestLikelihood(test, replace(setting, sd=sd, times=times), specimen.shares)
-        if self.problem.settings.loss == "gaussian":
-            return likelihood
-        adapted = likelihood.adapted(self.middle(specimen, test), self.problem.settings.loss)
-        return TestLikelihood(test, adapted, specimen.shares)
-
-    def _weighed(self, test: Experiment, setting: Setting, about: Specimen) -> Specimen:
-        """Return the draws by a likelihood, whose noise is that about some others."""
+    def _weighed(self, test: Experiment, setting: Setting, shares: FloatArray) -> Specimen:
+        """Return the draws by a likelihood, whose noise has some shares (bodies,) of wear."""
         likelihood = EmulatedLikelihood(
-            TestLikelihood(test, setting, about.shares), self.histories.emulator_of(test)
+            TestLikelihood(test, setting, shares), self.histories.emulator_of(test)
         )
         random = np.random.default_rng(self._seed + 1)
-        x, coordinates = self.before.unknowns, self.before.coordinates
-        left = 1.0
-        while True:
-            lots = np.array_split(np.arange(len(x)), 1 + len(x) // _LOT)
-            shares = self._shares(x, coordinates)
-            log_p = np.concatenate([likelihood(coordinates[i], shares[i]) for i in lots])
-            power, enough = left, min(_ENOUGH, _ENOUGH_SHARE * len(x))
-            while _effective(power * log_p) < enough:
+        x, v, left = self.before, self._v, 1.0
+        while left:
+            log_p = likelihood(v[:, 1:], self._shares(x, v))
+            power, weights = left, softmax(left * log_p)
+            while 1.0 / (weights @ weights) < _ENOUGH * len(x):
                 power *= _LESS
-            if power == left:
-                specimen = self._specimen(x, coordinates, power * log_p)
-                return replace(specimen, likelihood=likelihood)
+                weights = softmax(power * log_p)
             left -= power
-            x = self._made_anew(x, softmax(power * log_p), random)
-            coordinates = self._coordinates(x)
+            if left:
+                x = self._made_anew(x, weights, random)
+                v = self._coordinates(x)
+        # each as often as it weighs
+        rows = np.searchsorted(np.cumsum(weights), (np.arange(len(x)) + 0.5) / len(x))
+        x, v = x[rows], v[rows]
+        return Specimen(x, v, _rms(self._shares(x, v)), likelihood)
 
     def _made_anew(
         self, x: FloatArray, weights: FloatArray, random: np.random.Generator
     ) -> FloatArray:
         """Return draws about weighed ones (s, m + bodies), which shrink to their mean before."""
-        d = x.shape[1]
-        mean, rows = weights @ x, random.choice(len(x), _ANEW, p=weights)
+        count, d = self.before.shape
+        mean, rows = weights @ x, random.choice(len(x), count, p=weights)
         covariance = np.cov(x.T, aweights=weights).reshape(d, d) + _EXACT * np.eye(d)
         width = _WIDTH * (weights @ weights) ** (1.0 / (4.0 + d))
-        step = random.standard_normal((_ANEW, d)) @ np.linalg.cholesky(covariance).T
+        step = random.standard_normal((count, d)) @ np.linalg.cholesky(covariance).T
         x = mean + np.sqrt(1.0 - width**2) * (x[rows] - mean) + width * step
         x[:, : self.m] = reflected(x[:, : self.m], *self.problem.unknown_bounds)
         return x[self.histories.emulator.holds(x[:, : self.m])]
 
+    def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
+        """Return the likelihood of other readings: noise and growth times as of the specimen's."""
+        setting, old = self.histories.setting_of(test), specimen.likelihood.likelihood
+        known = {
+            s.name: (np.median(old.setting.sd[part] / s.sd), old.setting.times.get(i))
+            for i, (s, part) in enumerate(records(old.test.series))
+        }
+        every = [known.get(s.name, (1.0, setting.times.get(i))) for i, s in enumerate(test.series)]
+        sd = [scale * s.sd for s, (scale, _) in zip(test.series, every, strict=True)]
+        times = {i: ends for i, (_, ends) in enumerate(every) if ends is not None}
+        return TestLikelihood(
+            test, replace(setting, sd=np.concatenate(sd), times=times), specimen.shares
+        )
 
-def _effective(logs: FloatArray) -> float:
-    return float(np.exp(2.0 * logsumexp(logs) - logsumexp(2.0 * logs)))
+
+def _rms(shares: FloatArray) -> FloatArray:
+    rms: FloatArray = np.sqrt(np.square(shares).mean(axis=0))
+    return rms

@@ -3,7 +3,7 @@
 Histories at draws of the fit, what is refused, and what is doubted; running tests start from these.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
+from ringwear_par.cases.case import Case, Output, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.elasticity.sections import BODIES
@@ -83,9 +83,28 @@ def predict(
     ComputationError : the histories.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    return _with_histories(
-        *on_first_rank(comm, lambda: _drawn(fit, case, (), of, draws, seed)), comm
-    )
+
+    def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
+        for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
+            if isinstance(number, bool) or not isinstance(number, int) or number < least:
+                raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
+        known, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
+        whole = case if isinstance(case, Case) else read_case(case)
+        refuse_stop(whole, name, "in a prediction")
+        check_predicted(known, whole, name, of)
+        unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
+        return whole, known, known.values(unknowns), sizes
+
+    whole, known, values, sizes = on_first_rank(comm, drawn)
+    results = _histories(whole, known.keys, values, sizes, seed, comm)
+    left = [*results]
+    return Prediction(
+        of, str(fit) if isinstance(fit, Path | str) else "fit", whole.stored_text, seed,
+        dict(zip(known.keys, known.units, strict=True)), values[left], sizes[left],
+        doubts_of(known, whole, of), results[left[0]].histories["time"],
+        {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
+        failed=draws - len(left),
+    )  # fmt: skip
 
 
 def run_predict(
@@ -107,45 +126,21 @@ def run_predict(
     depth : of penetration with its unit, whose time is printed.
     """
 
-    def read() -> tuple[Case, Prediction]:
+    def begin() -> tuple[Case, float | None]:
         faults: list[str] = []
         mm = None if depth is None else read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
-        whole, drawn = _drawn(fit, case, overrides, of, draws, seed)
         check_folder(folder, FILES, "predict")
         announce_replacement(folder / PREDICTION)
-        return whole, replace(drawn, depth=mm)
+        return read_case(case, overrides), mm
 
-    result = _with_histories(*on_first_rank(comm, read), comm)
+    whole, mm = on_first_rank(comm, begin)
+    result = replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=mm)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
         print(closing_line(folder, FILES))
-
-
-def _drawn(
-    fit: "FitResult | Path | str",
-    case: Case | Path | str | Mapping[str, Any],
-    overrides: Overrides,
-    of: str,
-    count: int,
-    seed: int,
-) -> tuple[Case, Prediction]:
-    """Return a case, and its prediction without histories. On one rank."""
-    for name, number, least in (("draws", count, 1), ("seed", seed, 0)):
-        if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
-    draws, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
-    case = case if isinstance(case, Case) else read_case(case, overrides)
-    refuse_stop(case, name, "in a prediction")
-    check_predicted(draws, case, name, of)
-    unknowns, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
-    source = str(fit) if isinstance(fit, Path | str) else "fit"
-    return case, Prediction(
-        of, source, case.stored_text, seed, dict(zip(draws.keys, draws.units, strict=True)),
-        draws.values(unknowns), sizes, doubts_of(draws, case, of),
-    )  # fmt: skip
 
 
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
@@ -220,40 +215,40 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     return tuple(doubts)
 
 
-def _with_histories(case: Case, drawn: Prediction, comm: MPI.Comm) -> Prediction:
-    """Return a prediction with its histories. Collective on comm."""
+def _histories(
+    case: Case,
+    keys: Sequence[str],
+    values: FloatArray,
+    sizes: FloatArray,
+    seed: int,
+    comm: MPI.Intracomm,
+) -> dict[int, Result]:
+    """Return the histories at draws, by their numbers. Collective on comm.
+
+    ComputationError where many draws have none.
+    """
     ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
-    errors: list[Exception] = []
-    cases: dict[int, Case] = {}
-    for draw, at_values in enumerate(cases_at(case, [*drawn.keys], drawn.values)):
-        if isinstance(at_values, Case):
-            cases[draw] = replace(at_values, output=output, stress=None)
-        else:
-            errors.append(at_values)
+    every = cases_at(case, keys, values)
+    errors: list[Exception] = [drawn for drawn in every if not isinstance(drawn, Case)]
+    cases = {i: replace(drawn, output=output, stress=None)
+             for i, drawn in enumerate(every) if isinstance(drawn, Case)}  # fmt: skip
 
-    def compute(draws: Collection[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
-        step_times = [ends] * len(draws)
-        outcomes = results_of([cases[d] for d in draws], comm, step_times=step_times, paces=paces)
-        errors.extend(outcome.error for outcome in outcomes if not isinstance(outcome, Result))
-        return {d: r for d, r in zip(draws, outcomes, strict=True) if isinstance(r, Result)}
+    def compute(draws: Sequence[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
+        steps = [ends] * len(draws)
+        found = results_of([cases[i] for i in draws], comm, step_times=steps, paces=paces)
+        errors.extend(outcome.error for outcome in found if not isinstance(outcome, Result))
+        return {i: r for i, r in zip(draws, found, strict=True) if isinstance(r, Result)}
 
-    results = compute(cases, None)
-    if drawn.sizes.any() and results:
-        volumes = np.stack(
-            [[result.histories[f"worn_volume_{body}"][1:] for body in BODIES]
-             for result in results.values()]
-        )  # fmt: skip
-        random = np.random.default_rng([drawn.seed, 1])
-        paces = draw_paces(volumes / case.area, drawn.sizes[[*results]], random)
-        results = compute(results, [*paces])
-    count, left = len(drawn.values), [*results]
-    if len(errors) > _MOST_FAILED * count:
-        raise ComputationError(f"{len(errors)} of {count} draws have no history: {errors[0]}")
-    return replace(
-        drawn, values=drawn.values[left], sizes=drawn.sizes[left], failed=len(errors),
-        time=results[left[0]].histories["time"],
-        histories={q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
-    )  # fmt: skip
+    results = compute([*cases], None)
+    if sizes.any() and results:
+        volumes = [[r.histories[f"worn_volume_{body}"][1:] for body in BODIES]
+                   for r in results.values()]  # fmt: skip
+        random = np.random.default_rng([seed, 1])
+        paces = draw_paces(np.array(volumes) / case.area, sizes[[*results]], random)
+        results = compute([*results], [*paces])
+    if len(errors) > _MOST_FAILED * len(values):
+        raise ComputationError(f"{len(errors)} of {len(values)} draws have no history: {errors[0]}")
+    return results
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -116,8 +116,8 @@ class Prediction(Outcome):
     #: what speaks against the numbers
     doubts: tuple[ValidityWarning, ...]
     #: (steps,) s, and histories (draws, steps) by name, see ``QUANTITIES``
-    time: FloatArray = field(default_factory=lambda: np.zeros(0))
-    histories: Mapping[str, FloatArray] = field(default_factory=dict)
+    time: FloatArray
+    histories: Mapping[str, FloatArray]
     #: draws that were left out, as their histories could not be computed
     failed: int = 0
     #: mm of penetration, whose time the summary says; None: none

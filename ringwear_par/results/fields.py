@@ -8,6 +8,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
+    MESH_FIELDS,
     BoundaryFields,
     BoundaryState,
     max_shear,
@@ -15,7 +16,6 @@ from ringwear_par.elasticity.stress.fields import (
     principal,
 )
 from ringwear_par.errors import InputError
-from ringwear_par.history.stresses import BOUNDARY_MESHES
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import (
     LARGEST_STRESS,
@@ -61,7 +61,7 @@ def stored_states(data: Mapping[str, Any], axis: str, times: FloatArray) -> list
     """Return the arrays of each state along an axis of stress or boundaries, at some times, s."""
     names = [n for n in data if n in VARIABLES and VARIABLES[n].dimensions[:1] == (axis,)]
     (at, *_) = [*(data[n] for n in names if n.endswith("time")), ()]
-    fixed = {n: data[n] for n in BOUNDARY_MESHES if n in data and axis == "boundary_step"}
+    fixed = {n: data[n] for n in data if axis == "boundary_step" and n.endswith(MESH_FIELDS)}
     return [{n: data[n][t] for n in names} | fixed for t, time in enumerate(at) if time in times]
 
 
@@ -99,8 +99,7 @@ def side_words(numbers: FloatArray) -> Any:
 
 # -- boundaries ------------------------------------------------------------------------------------
 
-#: arrays of ``BoundaryFields`` that are the same at all states, and those that are not
-_MESH = ("elements", "face")
+#: arrays of ``BoundaryFields`` of each state
 _MOVING = ("nodes", "displacement", "traction", "pressure", "wear")
 
 
@@ -110,7 +109,7 @@ def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
         return ()
 
     def of(body: str, t: int) -> BoundaryFields:
-        mesh = {name: data[f"boundary/{body}/{name}"] for name in _MESH}
+        mesh = {name: data[f"boundary/{body}/{name}"] for name in MESH_FIELDS}
         return BoundaryFields(**mesh, **{n: data[f"boundary/{body}/{n}"][t] for n in _MOVING})
 
     times, steps = (data[f"boundary/lower/{name}"].tolist() for name in ("time", "steps_made"))

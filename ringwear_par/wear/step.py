@@ -88,7 +88,7 @@ class StepWear:
         self._fixed = self._lines(np.zeros((1, 1)), None) if self.linear else None
         self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
         #: (w, B, n) mm, depths of laws that remember, from which others near them are found
-        self._near = np.zeros_like(wear)
+        self._near = np.zeros_like(wear) if any(any(b.remember) for b in wearing) else wear
 
     def lines(self, p: FloatArray, rows: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return const (mm) and slope (mm/MPa) of the lines that touch depths at pressures (h, n).
@@ -181,14 +181,14 @@ class StepWear:
             growth = 1.0 - step * by_wear
             change = (step * np.maximum(rate, 0.0) - depth) / growth
             depth = np.maximum(depth + change, 0.0)
-            left = np.abs(change) > _SETTLED * depth.max()
-            if not left.any():  # or NaN
+            left = np.abs(change) > _SETTLED * depth.max(axis=1, keepdims=True)
+            if not left.any():  # NaN of a history are not waited for
                 break
         lost = left | ~(growth > 0.0)  # wear that grows faster than the step can follow
         near[slice(None) if rows is None else rows] = np.nan_to_num(np.where(lost, 0.0, depth))
         below = rate <= 0.0  # there the line goes on below zero
         depth = np.where(below, step * rate, np.where(lost, np.nan, depth))
-        return depth, step * np.where(below, rise, rise / growth)
+        return depth, step * np.where(below, rise, np.where(lost, np.nan, rise / growth))
 
     def _rate(
         self,

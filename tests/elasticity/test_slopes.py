@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from parts import bodies, boundary_recovery, first_contact
+from parts import bodies, boundary_recovery
 from paths import CASES
 from reference_cases import SORTS, Rings, ring_case
+from tracing import first_contact
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import body_zones, solve_zones
@@ -160,7 +161,7 @@ def test_displaced_faces_meet_along_the_common_normal(degrees, comm):
     """And their tractions are p along it, and mu p around the axis, per true area."""
     case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), Mesh(32))
     t, cos = math.tan(math.radians(degrees)), math.cos(math.radians(degrees))
-    contact = first_contact(case, comm)
+    contact = first_contact(case)
     p, touching = contact.pressure, contact.pressure > 0.0
     recovery = boundary_recovery(case, comm)
     both = recovery.fields(p, contact.approach, case.friction, np.zeros((2, 32)))

@@ -85,7 +85,7 @@ def test_integrals_over_elements_need_arrays_that_fit():
     def integrate(rows, columns):
         integrate_rows(place, node, boundary, 0.3, rules, columns, factors, rows, matrix)
 
-    rows = np.zeros((10, 1), int)
+    rows = np.zeros((6, 1), int)
     with pytest.raises(rw.ComputationError, match="too close"):
         integrate(rows, columns)
     for bad in ((rows + 1, columns), (rows, columns + 1), (rows, columns[:, :9].copy())):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from reference_cases import CONTACT, SPEED, TIMES, K
+from reference_cases import CONTACT, SPEED, TIMES, K, collocated, moduli_of
 from scipy.interpolate import CubicSpline
 from scipy.linalg import lu_factor, lu_solve
 from scipy.special import betaincinv
@@ -84,17 +84,17 @@ def stored(name, mesh=RINGS):
     return FineSolution(solution["approach_mm"], pressure, worn, solution["digits"])
 
 
-def worn_exactly(case, compliance):
+def worn_exactly(case, pair):
     """Return unworn pressure, approach and the wear by TIMES of rings in full contact with p0 = 0.
 
     C p = delta - w and m p = F give p = p_0 - R w, and with the rates s p of wear w' = s p_0 - B w
     with B = s R: a sum of exponentials of its eigenvalues, one of which is zero.
     """
-    line, matrix = case.line, compliance.collocated
+    line, matrix = case.line, collocated(pair, moduli_of(case))
     factor, m = lu_factor(matrix), line.area
     flat, across = lu_solve(factor, np.ones_like(m)), lu_solve(factor, m, trans=1)
     approach = case.load.force / (m @ flat)
-    p, s = approach * flat, K * case.friction * SPEED * line.arm * compliance.obliquity
+    p, s = approach * flat, K * case.friction * SPEED * line.arm * np.hypot(1.0, pair.slope)
     response = lu_solve(factor, np.eye(line.n)) - np.outer(flat, across) / (m @ flat)
     # scaled such that a symmetric diag(m) C would make it symmetric
     scale = np.sqrt(s / m)

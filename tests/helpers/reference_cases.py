@@ -84,3 +84,13 @@ def ring_case(rings, mesh, stepping=None, k=(K, None)):
         0.1, laws[0], laws[1], Load(SPEED, FORCE),
         stepping or Stepping("adaptive", until=TIMES[-1]), mesh, Output(times=TIMES),
     )  # fmt: skip
+
+
+def moduli_of(case):
+    """Return Young's moduli of lower and upper, MPa."""
+    return case.lower.young, case.upper.young
+
+
+def collocated(pair, moduli):
+    """Return the compliance of a pair with Young's moduli (MPa), (n, n) mm/MPa."""
+    return pair.normal[0] / moduli[0] + pair.normal[1] / moduli[1]

@@ -30,22 +30,27 @@ class History:
 
     @property
     def line(self):
+        """The contact elements."""
         return self.block.line
 
     @property
     def last(self):
+        """The state at the end."""
         return self.states[-1]
 
     @property
     def steps(self):
+        """How many were made."""
         return int(self.last.steps)
 
     @property
     def balances(self):
+        """Their largest defects."""
         return self.worst.balances(0)
 
     @property
     def times(self):
+        """Those of the states, s."""
         return [state.time for state in self.states]
 
     def at(self, time):
@@ -53,6 +58,7 @@ class History:
         return next(s for s in self.states if abs(s.time - time) <= 1e-9 * time)
 
     def torque_over_friction(self, p):
+        """Return the torque of pressures (n,) at mu = 1, N mm."""
         return self.block.moment(p[None])[0]
 
 

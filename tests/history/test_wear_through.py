@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from paths import CASES
-from ringwear_par.history.observers.trace import trace
+from tracing import ALONE, trace
 
 import ringwear_par as rw
 from ringwear_par.history.elastic import assemble
+from ringwear_par.history.layers import layer_left, layer_volumes
 
 CASE = CASES / "wear_through.toml"
-ALONE = MPI.COMM_SELF
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
 SOFT = {"law": "threshold", "k": 1e-7, "p0": 0.0}
 FIXED = {"time.scheme": "implicit", "time.end": None}
@@ -42,26 +41,27 @@ def test_energy_goes_into_the_layers_one_after_the_other(pair, scheme):
         layers=two, **{"upper.layers": upper, "wear.upper.law": "archard", "wear.upper.k": 2e-9},
         **{"wear.lower.k": 4e-7}, **SCHEMES[scheme],
     )  # fmt: skip
-    history = trace(case, ALONE, pair=pair)
-    last, physics = history.last, history.physics
+    history = trace(case, pair)
+    last, area = history.last, history.line.area
     assert history.balances.energy < 1e-12
-    assert history.balances.volume < 1e-12
-    lower, upper = (physics.layer_volumes(i, last.wear[i]) for i in (0, 1))
+    ends = [body.ends for body in history.block.wearing]
+    lower, upper = (layer_volumes(area, ends[i], last.wear[i][None])[0] for i in (0, 1))
     energy = lower / [3e-7, 1e-7, 4e-7]
     assert energy.sum() == pytest.approx(last.energy, rel=1e-12)
     assert (upper / [1e-8, 2e-9 / 0.1]).sum() == pytest.approx(last.energy, rel=1e-12)
     assert (energy > 0.01 * last.energy).all()  # it is in the body itself by now
     assert np.isfinite(last.through).all()
     for i in (0, 1):
-        before = [s.time for s in history.states if (physics.layer_left(i, s.wear[i]) > 0.0).all()]
-        after = [s.time for s in history.states if (physics.layer_left(i, s.wear[i]) <= 0.0).any()]
+        left = [(s.time, layer_left(ends[i], s.wear[i][None]).min()) for s in history.states]
+        before = [time for time, least in left if least > 0.0]
+        after = [time for time, least in left if least <= 0.0]
         assert before[-1] <= last.through[i] <= after[0]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_layer_that_wears_as_the_body_is_none(pair, scheme):
-    layered = trace(case_of({"wear": SOFT}, **SCHEMES[scheme]), ALONE, pair=pair)
-    plain = trace(case_of(layers=[], **SCHEMES[scheme]), ALONE, pair=pair)
+    layered = trace(case_of({"wear": SOFT}, **SCHEMES[scheme]), pair)
+    plain = trace(case_of(layers=[], **SCHEMES[scheme]), pair)
     near = {"atol": 5e-6} if scheme == "adaptive" else {"rtol": 1e-10}
     np.testing.assert_allclose(layered.last.wear, plain.last.wear, **near)
     assert layered.last.energy == pytest.approx(plain.last.energy, rel=1e-5)
@@ -76,19 +76,19 @@ def test_no_thin_layer_is_passed_over(pair, factor):
         {**LAYER, "thickness": 2e-4, "wear": of_thin},
     ]
     keys = {"wear.lower.k": 1e-6, **SCHEMES["adaptive"]}
-    history = trace(case_of(layers=two, **keys), ALONE, pair=pair)
+    history = trace(case_of(layers=two, **keys), pair)
     assert history.balances.energy < 1e-12
     if factor == 1.0:
-        one = trace(case_of(**keys), ALONE, pair=pair)
+        one = trace(case_of(**keys), pair)
         np.testing.assert_allclose(history.last.wear, one.last.wear, atol=5e-6)
 
 
 def test_an_element_at_the_end_of_its_layer_but_for_round_off_is_in_the_next(pair):
     keys = {**FIXED, "time.scheme": "explicit", "time.step": 0.02, "time.steps": 1}
-    plain = trace(case_of({"thickness": 1.0}, **keys), ALONE, pair=pair).last
+    plain = trace(case_of({"thickness": 1.0}, **keys), pair).last
     element = plain.wear[0].argmax()
     layer = {"thickness": float(plain.wear[0, element]) * (1.0 + 2e-14)}
-    last = trace(case_of(layer, **{"wear.lower.k": 1e-6}, **keys), ALONE, pair=pair).last
+    last = trace(case_of(layer, **{"wear.lower.k": 1e-6}, **keys), pair).last
     assert last.rates[0, element] == pytest.approx(50.0 * plain.rates[0, element], rel=1e-3)
     assert last.through[0] == pytest.approx(0.02)
 
@@ -109,7 +109,7 @@ def test_adaptive_steps_find_when_elements_get_through(pair, p0, k, of_body, end
     case = case_of(wear, **{"time.end": end, "output.times": times, "wear.lower.k": of_body})
 
     def depths(tolerance):
-        history = trace(case.replace({"time.tolerance": tolerance}), ALONE, pair=pair)
+        history = trace(case.replace({"time.tolerance": tolerance}), pair)
         return np.array([history.at(time).wear[0] for time in times]), history
 
     found, history = depths(1e-5)
@@ -128,8 +128,8 @@ def test_a_threshold_above_the_pressure_fails_no_step(pair, p0, step):
         {"wear": {**SOFT, "k": 1e-7, "p0": p0}, "thickness": 0.001},
         **{**FIXED, "time.step": step, "time.steps": 30, "wear.lower.k": 3e-7},
     )
-    history = trace(case, ALONE, pair=pair)
-    assert history.balances.worst < 1e-9
-    through = history.physics.layer_left(0, history.last.wear[0]) <= 0.0
+    history = trace(case, pair)
+    assert history.balances.force < 1e-8
+    through = layer_left(history.block.wearing[0].ends, history.last.wear[:1]) <= 0.0
     assert through.any()
     assert (np.diff([state.wear[0] for state in history.states], axis=0) >= 0.0).all()

@@ -124,6 +124,7 @@ def test_results_are_those_of_single_cases(six_steps, profiles, batch):
         assert max(mine.balances[n] for n in ("force", "energy")) < 1e-9
         assert mine.balances["residual"] < 2e-4
     assert results[-1].doubts
+    assert results[0].balances["residual"] > 1e-9  # of a block
     assert not results[0].doubts
     assert isinstance(results[2], rw.FailedResult)
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from convergence import check_errors
 from fine_solutions import pressure_at
-from parts import Load, Output, Ring, Stepping, first_contact
+from parts import Load, Output, Ring, Stepping
 from reference_cases import NU
-from scipy.linalg import eigh, solve
+from scipy.linalg import eigvals, solve
+from tracing import first_contact
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import compliance
-from ringwear_par.elasticity.bem.pair import symmetric
 from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Section
 
@@ -40,11 +40,13 @@ def annulus(a, n, comm):
         mesh = Mesh(n, grading=3.0)
         line = contact_line((a, 1.0), mesh)
         unit = compliance(Body(Section((0.0, big_r), big_r), 1.0, NU, "clamped"), line, mesh, comm)
-        m, normal = line.area, symmetric(line, unit.normal)
-        p = solve(normal, m)
-        worn, free = np.diag(m * line.arm), np.linalg.svd(m[None, :])[2][1:].T
-        at_force = eigh(free.T @ worn @ free, free.T @ normal @ free, eigvals_only=True)
-        at_approach = eigh(worn, normal, eigvals_only=True)
+        m, normal = line.area, unit.normal
+        p = solve(normal, np.ones(n))
+        # rates of decay of C p' = -r p + rate of the approach, 0 or such that the force stays
+        worn, flat = np.diag(line.arm), np.outer(p, m @ np.linalg.inv(normal)) / (m @ p)
+        response = np.linalg.inv(normal)
+        at_approach = np.sort(eigvals(response @ worn).real)
+        at_force = np.sort(eigvals((response - flat) @ worn).real)[1:]  # beside c / r, which stays
         found.append([m @ p, *at_approach[:2] / MODULUS])
     force, *at_approach = map(extrapolated, *found)
     mean = m @ p / m.sum()

@@ -8,8 +8,20 @@ import numpy as np
 import pytest
 from convergence import check_errors
 from fine_solutions import RINGS, pressure_at, ring_means, stored, worn_exactly
-from parts import Stepping, bodies, first_contact, trace, young
-from reference_cases import CONTACT, FORCE, NU, SORTS, SPEED, Rings, paper_case, ring_case
+from parts import Stepping, bodies
+from reference_cases import (
+    CONTACT,
+    FORCE,
+    NU,
+    SORTS,
+    SPEED,
+    Rings,
+    collocated,
+    moduli_of,
+    paper_case,
+    ring_case,
+)
+from tracing import first_contact, trace
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_zones
@@ -53,8 +65,8 @@ def test_exponents_at_edges(comm):
     s = (pair.line.r - pair.line.edges[0]) / 3.0
     near = (s > 1e-3) & (s < 1e-2)
     for ratio, exponent in exact.EDGE_EXPONENT.items():
-        compliance = pair.compliance((10e3, 10e3 * min(ratio, 1e9)))
-        p = np.linalg.solve(compliance.matrix, pair.line.area)
+        matrix = collocated(pair, (10e3, 10e3 * min(ratio, 1e9)))
+        p = np.linalg.solve(matrix, np.ones(128))
         slope = np.polyfit(np.log(s[near]), np.log(p[near]), 1)[0]
         assert slope == pytest.approx(exponent, abs=4e-3), ratio
 
@@ -77,12 +89,12 @@ def test_every_sort_of_edge(name, comm):
 
     def errors(n):
         case, fine = ring_case(SORTS[name], Mesh(n)), stored(name, Mesh(n))
-        history, line = trace(case, comm), case.line
-        first = history.states[0].contact
+        history, line = trace(case), case.line
+        first = first_contact(case, comm)
         off = pressure_errors(first.pressure, fine.pressure, line, lifts)
         inner = np.minimum(line.r - line.edges[0], line.edges[-1] - line.r) > INSIDE
         if not lifts:
-            assert all((state.contact.pressure > 0.0).all() for state in history.states)
+            assert all((state.pressure > 0.0).all() for state in history.states)
         return {
             "approach": first.approach / fine.approach - 1.0,
             "pressure": off.max(),
@@ -161,7 +173,7 @@ def test_cones_bathed_in_their_pressure(comm):
         case = ring_case(rings, Mesh(n))
         case = replace(case, lower=replace(case.lower, grip="platen"),
                        upper=replace(case.upper, grip="platen"))  # fmt: skip
-        pair, both, moduli = rw.assemble(case, comm), bodies(case), young(case)
+        pair, both, moduli = rw.assemble(case, comm), bodies(case), moduli_of(case)
         slopes = pair.slope, -pair.slope
         deflection = sum(
             bathed(body, case, slope, comm) / e
@@ -169,7 +181,7 @@ def test_cones_bathed_in_their_pressure(comm):
         )
         area = case.line.area
         rhs = np.stack([np.ones(n), deflection], axis=1)
-        unit, less = np.linalg.solve(pair.compliance(moduli).collocated, rhs).T
+        unit, less = np.linalg.solve(collocated(pair, moduli), rhs).T
         approach = area @ (1.0 + less) / (area @ unit)
         heights = [body.section.height + body.section.points[0, 1] for body in both]
         # both bodies shrink in proportion to the heights of their apexes: cones stay cones
@@ -188,14 +200,14 @@ def test_steady_state_of_both_bodies_wear(name, comm):
     """The vertical rate k mu p omega r / cos alpha is uniform, so p = c / r as on flat faces."""
     k, (a, b), step = (1e-7, 3e-7), CONTACT, 1000.0
     case = ring_case(SORTS[name], Mesh(64), Stepping("implicit", step, 8), k)
-    history = trace(case, comm)
-    before, last = (state.contact for state in history.states[-2:])
+    history = trace(case, tao=True)
+    before, last = history.states[-2:]
     c = exact.steady_constant(FORCE, 0.0, *CONTACT)
     oblique = case.friction * c / math.cos(math.radians(SORTS[name].degrees))
     assert last.pressure * case.line.arm == pytest.approx(np.full(64, c), rel=1e-7)
     rate = (last.approach - before.approach) / step
     assert rate == pytest.approx(oblique * sum(k) * SPEED, rel=1e-6)
-    torque = history.physics.torque(last.pressure)[0]
+    torque = case.friction * history.torque_over_friction(last.pressure)
     assert torque == pytest.approx(oblique * math.pi * (b * b - a * a), rel=1e-7)
 
 
@@ -208,7 +220,7 @@ def test_coarser_meshes_make_the_fine_solutions_again(name, most, comm):
     nested = {}
     for n in (64, 128):
         case = ring_case(SORTS[name], Mesh(n, grading=3.0))
-        *_, worn = worn_exactly(case, rw.assemble(case, comm).compliance(young(case)))
+        *_, worn = worn_exactly(case, rw.assemble(case, comm))
         radii = contact_line(CONTACT, Mesh(16)).edges
         nested[n] = max(
             np.abs(ring_means(case.mesh, w, radii) - stored(name, Mesh(16)).wear[t]).max()
@@ -222,7 +234,7 @@ def test_exact_in_time_is_what_short_steps_come_to(comm):
     """On one mesh and its compliance, so that only time differs."""
     case = ring_case(SORTS["paper"], Mesh(32))
     pair = rw.assemble(case, comm)
-    *_, worn = worn_exactly(case, pair.compliance(young(case)))
+    *_, worn = worn_exactly(case, pair)
     adaptive = replace(case, time=replace(case.time, tolerance=1e-8))
-    last = trace(adaptive, comm, pair=pair).last
+    last = trace(adaptive, pair, tao=True).last
     assert last.wear[0] == pytest.approx(worn[200.0], abs=1e-7)

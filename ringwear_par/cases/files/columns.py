@@ -34,13 +34,12 @@ class FileStore:
     Parameters
     ----------
     folder : from which their names count.
+    growing : whether tables are still written to: their last line may not be whole, and what they
+        measure may end before the test.
     """
 
-    #: names of files that are still written to: what they measure may end before the test
-    growing: frozenset[str] = frozenset()
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, growing: bool = False) -> None:
+        self.folder, self.growing = folder, growing
         self._read: dict[tuple[str, Any, Any], Any] = {}
 
     def __call__(self, name: str, skip: int = 0, drop: Sequence[str] = ()) -> Measurements:
@@ -51,7 +50,7 @@ class FileStore:
         skip : lines at its beginning that are left out.
         drop : texts of cells that count as empty.
         """
-        return self.read(name, read_measurements, skip=skip).without(drop)
+        return self.read(name, read_measurements, skip=skip, growing=self.growing).without(drop)
 
     def read(self, name: str, function: Callable[..., T], **options: Any) -> T:
         """Return the content of a file, which has its ``sha256``.

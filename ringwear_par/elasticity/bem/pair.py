@@ -10,7 +10,6 @@ the elements at an edge, by their whole pressure where that is regular, and howe
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -160,8 +159,6 @@ class ContactPair:
     _last: dict[tuple[float, float], ContactCompliance] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    #: families of compliances, by number, see ``compliance_family``
-    families: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __repr__(self) -> str:
         a, b = self.line.edges[[0, -1]]

@@ -187,7 +187,8 @@ def _add_rows(
     boundary, (_, load, traction, _) = zone.boundary, zone.conditions
     starts, before, heights, widths = systems
     rows = np.where(dofs.equation[nodes] >= 0, dofs.equation[nodes] - before, -1)
-    nodes, rows = nodes[(rows >= 0).any(axis=1)], rows[(rows >= 0).any(axis=1)].T
+    collocated = (rows >= 0).any(axis=1)
+    nodes, rows = nodes[collocated], rows[collocated].T.copy()
     # where displacements of an element's nodes are multiplied, and its traction, unknown or given
     unknown = dofs.traction >= 0
     of_traction = np.where(unknown, dofs.traction, np.where(load >= 0, widths + load, -1))
@@ -199,12 +200,12 @@ def _add_rows(
     own = integrate_rows(
         sources, nodes, boundary, zone.material.poisson, rules,
         columns.take(_DIRECTION, axis=1), factors.take(_DIRECTION, axis=1),
-        rows.take(_COMPONENT, axis=0), entries,
+        rows, entries,
     )  # fmt: skip
-    inverse = np.divide(1.0, sources[:, 0], where=sources[:, 0] > 0.0, out=np.zeros(len(nodes)))
-    for integrals, component, direction in zip(own, _COMPONENT, _DIRECTION, strict=True):
-        # on the axis u_r = u_theta = 0, elsewhere the field that is subtracted goes with u over r
-        scale, column = np.ones_like(inverse) if direction == 1 else inverse, dofs.displacement
-        at = (rows[component] >= 0) & (column[nodes, direction] >= 0)
-        own_column = starts[direction] + heights[direction] * column[nodes[at], direction]
-        entries[own_column + rows[component, at]] += (scale * integrals)[at]
+    # on the axis u_r = u_theta = 0, elsewhere the field that is subtracted goes with u over r
+    radius = sources[:, 0]
+    own[_DIRECTION != 1] *= np.divide(1.0, radius, where=radius > 0.0, out=np.zeros(len(nodes)))
+    row, column = rows[_COMPONENT], dofs.displacement[nodes].T[_DIRECTION]
+    at = (row >= 0) & (column >= 0)
+    place = starts[_DIRECTION, None] + heights[_DIRECTION, None] * column + row
+    entries[place[at]] += own[at]

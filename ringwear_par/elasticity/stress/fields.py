@@ -9,6 +9,9 @@ from ringwear_par.arrays import FloatArray, IntArray
 #: faces of a body; their numbers are stored
 FACES = ("free", "contact", "fixed", "inner_side", "outer_side", "interface")
 
+#: names of ``BoundaryFields`` that are the same at all states
+MESH_FIELDS = ("elements", "face")
+
 
 @dataclass(frozen=True)
 class BoundaryFields:

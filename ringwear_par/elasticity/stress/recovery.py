@@ -65,7 +65,7 @@ class BoundaryRecovery:
     def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
         """Return the responses of the zones of lower and upper, in the frame of the case.
 
-        Collective on comm; the same objects as long as the elements are the same.
+        Collective on comm.
 
         Parameters
         ----------
@@ -257,7 +257,7 @@ class StressRecovery:
     ) -> None:
         self._points, self._exclude, self._comm, self._line = points, exclude, comm, line
         self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
-        self._of: list[list[BoundaryResponse]] = []
+        self._shape = np.empty(0)
         self._units: list[_UnitStress] = []
 
     def stresses(
@@ -281,9 +281,10 @@ class StressRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        bodies = self._boundaries.responses(shape)
-        if not self._of or any(new is not old for new, old in zip(bodies, self._of, strict=True)):
-            self._of, self._units = bodies, []  # not two at a time
+        shape = np.zeros((2, self._line.n)) if shape is None else shape
+        if not self._units or not np.array_equal(shape, self._shape):
+            self._units, self._shape = [], shape.copy()  # not two at a time
+            bodies = self._boundaries.responses(shape)
             around = np.concatenate([edges([zone.boundary for zone in body]) for body in bodies])
             self._units = [self._integrated(i, body, around) for i, body in enumerate(bodies)]
         lower, upper = (

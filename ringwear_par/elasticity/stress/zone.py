@@ -31,7 +31,7 @@ _ON_BOUNDARY = 1e-9
 _BEYOND = 0.02
 _TOLERANCE = 1e-8
 #: component of stress and direction on the element of each pair of kernels
-_COMPONENT = np.array([0, 1, 2, 3, 0, 1, 2, 3, 0, 1])
+_COMPONENT = np.array([0, 1, 2, 3, 0, 1, 2, 3, 4, 5])
 _DIRECTION = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2, 2])
 
 
@@ -221,14 +221,15 @@ class ZoneStress:
         starts = (4 * p * width * np.arange(3))[_DIRECTION, None]
         values = np.hstack([elements, len(nodes) + np.arange(len(elements))[:, None]])
         factors = np.tile([-1.0, -1.0, -1.0, 1.0], (len(elements), len(_DIRECTION), 1))
-        rows, entries = p * _COMPONENT[:, None] + np.arange(p), np.zeros(10 * p * width)
+        rows = p * np.array([0, 1, 2, 3, 0, 1])[:, None] + np.arange(p)
+        entries = np.zeros(10 * p * width)
         own = -integrate_rows(
             np.column_stack([points, z0]), np.full(p, -1), self._boundary, self._poisson,
             quadrature(_TOLERANCE), starts + heights * values[:, None], factors, rows, entries,
         )  # fmt: skip
         own[:2] += 1.0 / (1.0 - self._poisson)  # stresses rr = tt of u_r = r where zz is 0
         own[_DIRECTION != 1] *= np.divide(1.0, r, where=r > 0.0, out=np.zeros_like(r))
-        entries[starts + heights * nearest + rows] += own
+        entries[starts + heights * nearest + rows[_COMPONENT]] += own
         normal, torsion = np.split(entries, [8 * p * width])
         stresses = [
             (part.reshape(len(of), -1).T @ of).reshape(-1, p, n)

@@ -109,27 +109,20 @@ def _planned(
 ) -> Readings | None:
     """Return readings that are planned; None, and faults, where there are none."""
     where = "r" if kind == "profile" else "times"
-    file_keys = {"columns", "units", "skip", "drop"} & reader.keys()
     once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
     usual = "value" if once else "file"
-    must = {
-        "mass": "must be a finite number", "volume": "must be a finite number",
-        "profile": "must be the name of a table of depths over radii",
-    }.get(kind, "must be the name of a table")  # fmt: skip
-    if file_keys or not (once or where in reader):
-        for key in file_keys:
+    rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
+    if not (once or where in reader):
+        for key in ("columns", "units", "skip", "drop"):  # of a file
             reader.raw(key)
-        reader.wrong(
-            "file" if file_keys else usual,
-            f"{must}; or {where} of planned readings, for --dry-run and design",
-        )
+        reader.wrong(usual, rule)
         return None
     x = np.array([end if at is None else at])
     if where in reader:
         x = reader.read(where)
     unit, scale = _unit(reader, kind)
     if not plans:
-        reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
+        reader.wrong(usual, rule)
     if x is None or scale is None:
         return None
     return Readings(_series(kind, x, np.zeros(len(x)), unit, scale, planned=True))

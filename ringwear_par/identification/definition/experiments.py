@@ -16,8 +16,8 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
+from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
-from ringwear_par.identification.definition.parameter_rules import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -56,9 +56,8 @@ class ExperimentReader:
         tables: Sequence[tuple[str, Any]],
         parameters: tuple[FittedParameter, ...],
         faults: list[str],
-        test: str = "",
     ) -> tuple[Experiment, ...]:
-        """Return all experiments, or one test, and add what is wrong with them to the faults.
+        """Return all experiments, and add what is wrong with them to the faults.
 
         Parameters
         ----------
@@ -66,8 +65,6 @@ class ExperimentReader:
         """
         experiments: list[Experiment] = []
         for place, table in tables:
-            if test and isinstance(table, Mapping) and table.get("name", test) != test:
-                continue
             experiment = self._experiment(place, table, parameters, faults)
             if experiment is not None:
                 experiments.append(experiment)

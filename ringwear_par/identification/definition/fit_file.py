@@ -52,14 +52,14 @@ def read_fit(
     source: Path | str | Mapping[str, Any],
     *,
     plans: bool = False,
-    test: str = "",
-    files: FileStore | None = None,
+    running: str = "",
+    others: bool = False,
 ) -> Problem:
     """Read a fit file with its case and all its measurements, or a dict of them. Not collective.
 
-    Planned readings only where ``plans``. With ``test``, one experiment, whose readings may be too
-    few for a fit. Measurements are of ``files``, else beside the fit file. Raises InputError with
-    all faults.
+    Planned readings only where ``plans``. Of a ``running`` experiment this one alone, whose files
+    grow and whose readings may be too few for a fit, or all ``others``. Raises InputError with all
+    faults.
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")
@@ -71,41 +71,53 @@ def read_fit(
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     case_units = written_units(tables.get("case"), folder)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
-    files = FileStore(folder) if files is None else files
+    alone = bool(running) and not others
+    files = FileStore(folder, growing=alone)
     reader = ExperimentReader(name, folder, base, files, plans)
-    tests = experiment_tables(name, tables, base, files, faults)
-    experiments = reader.all(tests, parameters, faults, test)
+    tests = _experiment_tables(name, tables, base, files, faults)
+    if running:
+        tests = [one for one in tests if (_name_in(one[1]) == running) is alone]
+    experiments = reader.all(tests, parameters, faults)
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*_said_once(faults))
-    problem = Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
-    process = settings.process
-    if not test:
-        for check in (_check_counts, check_scatter, check_censored):
-            check(problem, faults)
-        before = len(faults)
-        check_process(problem, faults)
-        # faults that do not depend on the law are said once
-        process = process if len(faults) == before else {}
-    settings = replace(settings, process=process)
+    whose = f"{name}: without {legible(running)}" if others else name
+    problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
+    if alone:
+        return problem
+    for check in (_check_counts, check_scatter, check_censored, check_process):
+        check(problem, faults)
+    if faults:  # many of which are those of the other laws too
+        raise InputError(*_said_once(faults))
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         changed = reader.changed(law, experiments, changes, law_parameters, faults)
         alternatives[law] = replace(
-            problem, name=f"{name}: compare.{law}", settings=settings, parameters=law_parameters,
-            experiments=changed,
-        )  # fmt: skip
-        if test or len(changed) < len(experiments):  # whose faults are told
-            continue
-        for check in (_check_counts, check_scatter, check_process):
-            check(alternatives[law], faults)
+            problem, name=f"{name}: compare.{law}", parameters=law_parameters, experiments=changed
+        )
+        if len(changed) == len(experiments):
+            for check in (_check_counts, check_scatter, check_process):
+                check(alternatives[law], faults)
     if faults:
         raise InputError(*_said_once(faults))
     return replace(problem, alternatives=alternatives)
 
 
-def experiment_tables(
+def experiment_names(source: Path) -> list[str]:
+    """Return the names of the tests of a fit file; its other faults are left to ``read_fit``."""
+    name, folder, tables, _ = source_tables(source, "fit")
+    base = base_keys(name, folder, tables, False, [])
+    found = _experiment_tables(name, tables, base, FileStore(folder), [])
+    return [named for _, table in found if (named := _name_in(table))]
+
+
+def _name_in(table: Any) -> str:
+    name = table.get("name") if isinstance(table, Mapping) else None
+    return name if isinstance(name, str) else ""
+
+
+def _experiment_tables(
     name: str,
     file: Mapping[str, Any],
     base: Mapping[str, Any] | None,

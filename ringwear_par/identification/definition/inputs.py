@@ -9,11 +9,11 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
+from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.data_sources import read_readings
-from ringwear_par.identification.definition.parameter_rules import LOADS
 from ringwear_par.identification.definition.problem import MeasuredInput
 from ringwear_par.identification.definition.schema import (
     FEWEST_READINGS,
@@ -125,7 +125,7 @@ def _input(
     check_times(reader, series, end)
     if len(x) < FEWEST_READINGS:
         reader.fault(f"has {len(x)} readings; must have {FEWEST_READINGS} at least")
-    elif (covered := float(np.ptp(x)) / end) < _COVERED and table["file"] not in files.growing:
+    elif (covered := float(np.ptp(x)) / end) < _COVERED and not files.growing:
         reader.fault(
             f"readings from {x[0]:g} to {x[-1]:g} s cover {100.0 * covered:.3g} % of the test; "
             f"must cover {100.0 * _COVERED:g} % at least"

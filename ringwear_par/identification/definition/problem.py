@@ -230,6 +230,11 @@ class Series:
         return self.kind == "profile"
 
     @property
+    def timed(self) -> bool:
+        """Whether it is read at times; a profile and the end of a layer are of all the history."""
+        return READING_KINDS[self.kind].values is not None
+
+    @property
     def body(self) -> Literal["lower", "upper"]:
         """The body that a profile, mass, volume or layer is of."""
         return "upper" if self.quantity.endswith(".upper") else "lower"

@@ -45,6 +45,8 @@ _ROUNDED = 2e-4
 _PRIOR_REACH = 4.0
 #: units of densities, in g/mm3
 _OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
+#: blocks of equal time of a test, in which the readings of a long record are averaged
+BLOCKS = 500
 
 
 def read_series(
@@ -277,9 +279,7 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse radii that are not those of the body."""
     (low, high), x = getattr(case, series.body).r, series.x
     outside = (x < low) | (x > high)
-    thousand = outside.any() and low <= x[outside][0] / 1e3 <= high
-    hint = "; it is a thousand times too large: look at units.r" * bool(thousand)
-    rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm{hint}"
+    rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm"
     refuse_readings(reader, series, outside, "r = {x:g} mm", rule)
     a, b = case.contact
     if not ((x >= a) & (x <= b)).any():
@@ -295,3 +295,36 @@ def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
     rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
     deep = np.abs(series.value) > highest
     refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)
+
+
+def averaged(series: Series, end: float) -> Series:
+    """Return a record averaged in blocks of equal time; one of correlated noise is thinned.
+
+    No block reaches across an excluded part. Blocks are those of the test, whenever the record
+    ends: while it grows, all but the last one stay as they are. Profiles and limits stay too.
+
+    Parameters
+    ----------
+    end : s, of the test.
+    """
+    limits = series.censored is not None and series.censored.any()
+    if series.profile or limits or series.n < 2:
+        return series
+    block = series.x // (end / BLOCKS)
+    parts_before = (series.x[:, None] > np.array([low for low, _ in series.excluded])).sum(axis=1)
+    is_first = (np.diff(block, prepend=-1.0) != 0) | (np.diff(parts_before, prepend=-1) != 0)
+    first = np.flatnonzero(is_first)
+    if first.size == series.n:
+        return series
+    counts = np.diff(first, append=series.n)
+    if series.correlation_time:
+        return series.part(first + counts - 1)
+    weights = series.sd**-2
+    total = np.add.reduceat(weights, first)
+    single = counts == 1  # to the last bit, so that a record that grows stays what it was
+    x, value = (
+        np.where(single, column[first], np.add.reduceat(weights * column, first) / total)
+        for column in (series.x, series.value)
+    )
+    sd = np.where(single, series.sd[first], total**-0.5)
+    return replace(series, x=x, value=value, sd=sd, lines=None, censored=None)

@@ -16,7 +16,7 @@ from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, unused_columns
-from ringwear_par.files.table_text import is_clock, is_value
+from ringwear_par.files.table_text import ambiguous_date, is_clock, is_value
 from ringwear_par.files.text import shortened
 
 #: units of channels; of a temperature the letter behind the degree
@@ -188,7 +188,7 @@ def _union(intervals: list[tuple[float, float]]) -> tuple[tuple[float, float], .
 def _notes(table: Measurements, names: Mapping[str, str]) -> tuple[str, ...]:
     """Return sentences about how a table is read, whose channels have columns of these names."""
     notes, time = [], names["time"]
-    if date := table.ambiguous_date(time):
+    if date := ambiguous_date(table.cells(time)):
         notes.append(
             f"{legible(time)}: dates such as {date} are read day first, no day above 12 tells the "
             "order"

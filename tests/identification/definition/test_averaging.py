@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringwear_par.identification.definition.averaging import BLOCKS, averaged
 from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.definition.series import BLOCKS, averaged
 
 
 def test_long_records_are_averaged():
@@ -17,6 +17,8 @@ def test_long_records_are_averaged():
     assert short.value == pytest.approx(2.0 * short.x)
     assert short.sd[3] == pytest.approx(0.5 / np.sqrt(10), rel=0.06)
     assert averaged(short, 100.0).n == short.n
+    assert averaged(replace(series, quantity="profile.lower"), 100.0).n == series.n
+    assert averaged(replace(series, censored=np.full(5000, -1)), 100.0).n == series.n
     x = np.append(np.arange(1, 200) + 0.5, 199.51)  # the last block grows, all others stay
     y = np.random.default_rng(0).standard_normal(200)
     before, after = (
@@ -40,11 +42,3 @@ def test_no_block_reaches_across_an_excluded_part():
     thinned = averaged(replace(series, correlation_time=2.0), 500.0)
     assert thinned.n == short.n
     assert np.isin(thinned.x, x).all()
-
-
-def test_profiles_and_limits_are_not_averaged():
-    x = np.linspace(28.0, 32.0, 2000)
-    profile = Series("d", "profile.lower", x, 0.0 * x, np.full(2000, 1e-4))
-    limits = replace(profile, quantity="penetration", censored=np.full(2000, -1))
-    assert averaged(profile, 100.0) is profile
-    assert averaged(limits, 100.0) is limits

@@ -92,16 +92,6 @@ def test_columns_and_units_may_be_named(folder):
     assert second.case.load.force == pytest.approx(2000.0)
 
 
-def test_columns_whose_names_have_a_word_by_chance_are_not_used_and_are_named(folder, caplog):
-    chance = ["Test date", "load step", "lab 7 am", "max speed / (m/s)", "before - after / mg"]
-    endings = ["", "".join(f";{name}" for name in chance), *[";" * len(chance)] * 4]
-    endings[3] = ";12" * len(chance)
-    text = "\n".join(map("".join, zip(TABLE.splitlines(), endings, strict=True)))
-    tests, plain = (read_fit(in_table(folder, each)).experiments for each in (text, TABLE))
-    assert [test.case.text for test in tests] == [test.case.text for test in plain]
-    assert all(name in caplog.text for name in chance)
-
-
 def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
     """And lines above the names, and cells that are no readings, may be left out."""
     text = (
@@ -150,8 +140,3 @@ def test_limits_stand_in_a_column_or_in_a_template(folder):
     assert first.series[0].censored.tolist() == [-1]
     assert second.series[0].censored is None
     assert second.series[0].value == pytest.approx([1.5e-3])
-
-
-def test_a_duration_may_be_a_clock_time(folder):
-    text = TABLE.replace("S1;40;3,5;1,5", "S1;40;3,5;0:01:30")
-    assert read_fit(in_table(folder, text)).experiments[0].case.time.end == pytest.approx(90.0)

@@ -28,20 +28,6 @@ def test_numbers_with_units(plan):
     assert (text.value, text.sd, text.unit) == (mass.value, mass.sd, "mg")
 
 
-def test_a_mass_has_the_density_of_its_body(plan):
-    tables = copy.deepcopy(plan)
-    weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
-    tables["experiment"][0]["data"].append(weighing)
-    tables["experiment"][0]["set"] |= {"lower.density": "7.8 g/cm3", "upper.poisson": 2}
-    assert len(refused(tables, plans=True)) == 1  # of Poisson's ratio alone
-    del tables["experiment"][0]["set"]["upper.poisson"]
-    mass = read_fit(tables, plans=True).experiments[0].series[-1]
-    assert mass.density == pytest.approx(0.0078)
-    weighing["density"] = 0.0019
-    mass = read_fit(tables, plans=True).experiments[0].series[-1]
-    assert mass.density == pytest.approx(0.0019)
-
-
 def test_a_mass_of_layers_needs_the_density_of_each(plan):
     tables = copy.deepcopy(plan)
     weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
@@ -81,20 +67,15 @@ def plan(good):
 
 
 def test_readings_may_be_planned(plan):
-    found = read_fit(plan, plans=True)
-    record, profile = found.experiments[1].series
+    tables = copy.deepcopy(plan)
+    tables["experiment"][1]["data"] += [
+        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
+        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
+    ]
+    record, profile, *masses = read_fit(tables, plans=True).experiments[1].series
     assert record.x == pytest.approx(np.linspace(2.0, 100.0, 50))
     assert (profile.n, profile.at, profile.unit) == (90, 100.0, "um")
     assert profile.sd == pytest.approx(8e-5)
     assert record.planned
     assert profile.planned
-
-
-def test_a_weighing_may_be_planned(plan):
-    tables = copy.deepcopy(plan)
-    tables["experiment"][0]["data"] += [
-        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
-        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
-    ]
-    series = read_fit(tables, plans=True).experiments[0].series[2:]
-    assert [one.x.tolist() for one in series] == [[100.0], [50.0], [10.0, 20.0]]
+    assert [one.x.tolist() for one in masses] == [[100.0], [50.0], [10.0, 20.0]]
