@@ -123,7 +123,7 @@ FAULTS = [
     Fault("restart forgets the worst states", "results/recorder.py",
           "        self._worst.restore(worst)\n", "", "results/test_restart.py -k doubts"),
     Fault("rows of a shorter run", "results/rows.py",
-          "rows = before.steps_made % output.every == 0", "rows = before.steps_made >= 0",
+          "rows = before.step % output.every == 0", "rows = before.step >= 0",
           "results/test_run.py -k lengthened"),
     Fault("edges stored backwards", "results/files.py", "else item[()]",
           'else item[::-1] if name == "edges" else item[()]',

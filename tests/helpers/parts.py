@@ -54,7 +54,6 @@ PLACES = {
     "results.run": "run_case",
     "results.signals": "StopSignals",
     "results.key_numbers": "key_numbers",
-    "results.files": "restored",
     "results.variables": "HISTORIES PROFILES edge_elements",
     "schedules": "Table bends in_time integral",
     "studies.many": "results_of",
