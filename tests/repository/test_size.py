@@ -29,7 +29,7 @@ ROOMS = {
     "parallel.py petsc.py arrays.py batched.py options.py": 366,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 38932, "tests": 16886, "scripts slurm": 935, "docs": 1196}
+FOLDERS = {"ringwear_par": 38932, "tests": 16892, "scripts slurm": 935, "docs": 1196}
 
 
 def sizes(folder):
