@@ -7,14 +7,12 @@ import active_set
 import numpy as np
 import pytest
 from contact_problems import HARD, Bed, drawn, spring
-from parts import BlockSolver, Line, Mesh, PowerLaw, TaoContact, simulate_one
+from parts import BlockSolver, Compliance, Line, Mesh, PowerLaw, TaoContact, simulate_one, take
 from petsc4py import PETSc
 from reference_cases import paper_case
 from tracing import ALONE, trace
 
-from ringwear_par.batched import take
-from ringwear_par.contact import _rows
-from ringwear_par.contact.problem import Compliance
+from ringwear_par.contact._rows import respond
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.mesh import contact_line
 from ringwear_par.history.block import Block
@@ -95,6 +93,9 @@ def test_springs_have_a_closed_form(name):
     exact = np.maximum(0.005 - gap, 0.0) * 2e3
     found = SOLVERS[name](approach, gap, np.array([0.005]), None)
     assert found.pressure == pytest.approx(exact, rel=1e-8, abs=1e-9)
+    off = exact * (1.0 + 0.01 * (np.arange(12) == 3))
+    residual = bed.residual(bed.gap(gap, off, np.array([0.005])), off)
+    assert residual == pytest.approx(0.01 * exact[0, 3] / exact.max(), rel=1e-6)
     found = SOLVERS[name](force, gap, exact @ area, None)
     assert found.approach == pytest.approx(0.005, rel=1e-7)
     assert found.pressure == pytest.approx(exact, rel=1e-6, abs=1e-9)
@@ -194,5 +195,5 @@ def test_the_loops_in_c_are_vectorised():
             best = min(best, time.process_time() - before)
         return best
 
-    in_c = seconds(lambda: _rows.respond(bed, False, inverse, none, 0.0, gap.copy(), x))
+    in_c = seconds(lambda: respond(bed, False, inverse, none, 0.0, gap.copy(), x))
     assert in_c < 3.5 * seconds(lambda: [matrix @ vectors for _ in range(count)])

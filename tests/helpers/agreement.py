@@ -14,7 +14,7 @@ def most_off(values, tolerance=1e-5):
 
 def assert_agree(found, exact, tolerance=1e-5):
     """Two results are the same to the accuracy of contact within blocks; tolerance in mm."""
-    assert np.array_equal(found.steps_made, exact.steps_made)
+    assert np.array_equal(found.step, exact.step)
     assert found.histories["time"].tolist() == exact.histories["time"].tolist()
     for name, values in (exact.histories | exact.profiles).items():
         own = {**found.histories, **found.profiles}[name]

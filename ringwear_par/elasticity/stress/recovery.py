@@ -20,7 +20,6 @@ from ringwear_par.elasticity.sections import BODIES, Body, BodyName
 from ringwear_par.elasticity.stress.fields import (
     FACES,
     BoundaryFields,
-    Interfaces,
     Largest,
     mises,
 )
@@ -184,7 +183,7 @@ class BodyStress(NamedTuple):
     surface: FloatArray
     #: the largest von Mises stress outside the radius round edges
     largest: Largest
-    #: (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``
+    #: (i, 2, m, 6) float, MPa, above and below each interface
     interfaces: FloatArray
     #: (layers + 1,) float, MPa, that in each layer and in the body itself; (0,) without
     layers: FloatArray
@@ -351,8 +350,11 @@ class StressRecovery:
 
 def interfaces(
     body: Body, line: ContactLine, mesh: Mesh, which: BodyName, plane: float
-) -> Interfaces:
+) -> tuple[FloatArray, FloatArray]:
     """Return where the stresses along the interfaces of a body are. Not collective.
+
+    That is (m,) mm, the radii of mid-points of their elements, the same for all, increasing; and
+    (i,) mm, their heights, unworn, from the contact face on. Both are empty without layers.
 
     Parameters
     ----------
@@ -362,4 +364,4 @@ def interfaces(
     middles = [zone.nodes[zone.elements[zone.below, 1]] for zone in zones[:-1]]
     upward = 1.0 if which == "lower" else -1.0
     heights = [plane + upward * middle[0, 1] for middle in middles]
-    return Interfaces(middles[0][:, 0] if middles else np.empty(0), np.array(heights))
+    return middles[0][:, 0] if middles else np.empty(0), np.array(heights)
