@@ -8,7 +8,6 @@ alone, so that ranks cannot part ways; the others serve it until it is done.
 import itertools
 import math
 import pickle
-from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -219,34 +218,26 @@ class Readings:
         pairs = self._pairs
         while len(pairs) > _MOST_PAIRS:  # the oldest ones that are of a point
             del pairs[next(key for key in pairs if key not in self._kept)]
-        groups: dict[Hashable, list[int]] = defaultdict(list)
-        for i, case in cases.items():
-            key = operator_key(case)
-            try:
-                if key not in pairs:
-                    pairs[key] = assemble(case, MPI.COMM_SELF)
-                groups[operator_key(tests[entries[i][0]].case)].append(i)
-            except ComputationError as error:
-                rows[i] = HistoryError(reason_of(error))
         readers = {test: Reader(experiment) for test, experiment in tests.items()}
         grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
         paces = {
             test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()
         }
-        for numbers in groups.values():
-            owners = [entries[i][0] for i in numbers]
-            parts = computed(
-                [cases[i] for i in numbers], [pairs[operator_key(cases[i])] for i in numbers],
-                results=True, step_times=[grids[test].tolist() for test in owners],
-                paces=None if factors == (1.0, 1.0) else [paces[test] for test in owners],
-            )  # fmt: skip
-            for part in parts:
-                for place, result in zip(part.numbers, part.results(), strict=True):
-                    i = numbers[place]
-                    if isinstance(result, Result):
-                        rows[i] = readers[entries[i][0]].read(trajectory(result, cases[i]))
-                    else:
-                        rows[i] = HistoryError(reason_of(result))
+        numbers, owners = [*cases], [entries[i][0] for i in cases]
+        parts, failed = computed(
+            [*cases.values()], pairs, results=True,
+            step_times=[grids[test].tolist() for test in owners],
+            paces=None if factors == (1.0, 1.0) else [paces[test] for test in owners],
+        )  # fmt: skip
+        found: dict[int, Result | Exception] = {**failed}
+        for part in parts:
+            found |= part.results()
+        for place, result in found.items():
+            i = numbers[place]
+            if isinstance(result, Result):
+                rows[i] = readers[entries[i][0]].read(trajectory(result, cases[i]))
+            else:
+                rows[i] = HistoryError(reason_of(result))
         return [rows[i] for i in range(len(entries))]
 
     def with_slopes(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -272,10 +263,9 @@ class Readings:
         (case,) = cases_at(experiment.case, self.problem.keys, values)
         if isinstance(case, HistoryError):
             raise case
-        pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF)
         steps = [step_times(experiment, self.steps).tolist()]
-        (part,) = computed([case], [pair], results=True, step_times=steps)
-        (result,) = part.results()
+        parts, failed = computed([case], self._pairs, results=True, step_times=steps)
+        result = failed[0] if failed else parts[0].results()[0]
         if not isinstance(result, Result):
             raise HistoryError(reason_of(result))
         self.count += 1

@@ -151,8 +151,9 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
     made = choice.surrogate
     if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= GOOD:
         along, mean = made.mean_along(key.name, output)
-        shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
-        low, mean, high = (display.factor * each for each in shifted)
+        error = 2.0 * made.error[output]
+        shifted = np.clip([mean - error, mean, mean + error], *made.responses[output].limits)
+        low, mean, high = display.factor * shifted
         name = "surrogate, mean over the other keys"
         if key.texts:
             ends = np.stack([mean - low, high - mean])

@@ -1,17 +1,16 @@
 """The files of a sweep: one for each block, then ``results.h5`` and ``cases.csv`` of all of them.
 
-Blocks hold the variables of the results for their cases, in chunks of the same shape and
-compressed by the rank that computed them: to merge them is to copy their chunks as they are.
-Histories shorter than the longest, and contact lines of fewer elements than the finest, are padded
+Blocks hold the variables of the results for their cases; they are copied one by one, and what HDF5
+finds damaged meanwhile is computed anew. Histories shorter than the longest, and contact lines of fewer elements than the finest, are padded
 with NaN; ``steps_stored`` and ``elements`` say how much is there. Cases are in the order of their
 blocks, which is that of the design where only numbers vary; ``number`` is their place in it.
 """
 
 import csv
 import hashlib
-import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
-from ringwear_par.results.hdf5 import atomic_hdf5, reading
+from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
@@ -49,9 +48,8 @@ from ringwear_par.studies.study import Study
 from ringwear_par.studies.variations import cell, own_key
 from ringwear_par.version import __version__, versions
 
-#: how variables are compressed, and most bytes of a chunk
+#: how variables are compressed
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-_CHUNK_BYTES = 256e3
 #: bytes that results may take beside their blocks
 _MORE_BYTES = 1e6
 _STATE = Variable("step", ("step",), "1", "stored state of each case", integer=True)
@@ -155,11 +153,7 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
         failed = int((arrays["status"] == b"failed").sum())
         file.attrs.update(software=SOFTWARE, version=__version__, failed=failed)
         for name, values in arrays.items():
-            variable = _variable(name, values.ndim)
-            lengths = [block.chunk[axis] for axis in variable.dimensions]
-            most = int(_CHUNK_BYTES / (8 * math.prod(lengths[1:]))) or 1
-            lengths[0] = min(lengths[0], 1 << (most.bit_length() - 1))
-            data = _create(file, variable, values.shape, values.dtype, lengths)
+            data = _create(file, _variable(name, values.ndim), values.shape, values.dtype)
             data[...] = values.astype(data.dtype)  # of texts their encoding
 
 
@@ -172,14 +166,11 @@ def _variable(name: str, ndim: int) -> Variable:
     return Variable(name, ("case", *axes), variable.unit, variable.meaning)
 
 
-def _create(
-    file: h5py.File, variable: Variable, shape: Sequence[int], kind: Any, chunk: Sequence[int]
-) -> h5py.Dataset:
+def _create(file: h5py.File, variable: Variable, shape: Sequence[int], kind: Any) -> h5py.Dataset:
     """Return a new variable, NaN or empty texts so far."""
     text = kind.kind == "S"
     data = file.create_dataset(
         variable.name, shape, h5py.string_dtype("utf-8", max(kind.itemsize, 1)) if text else kind,
-        chunks=tuple(chunk), maxshape=tuple(map(max, shape, chunk)),
         fillvalue=np.nan if kind.kind == "f" else None, **_PACKED,
     )  # fmt: skip
     # with which xarray takes bytes for the texts that they are
@@ -211,7 +202,7 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 
     Raises
     ------
-    InputError : a block is damaged.
+    DamagedError : a block.
     ComputationError : there is not enough space for them.
     OSError : the disk.
     """
@@ -245,13 +236,12 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
     """Make the axes and the variables of all blocks, which are without values but varied keys."""
     shapes: dict[str, tuple[int, ...]] = {}
-    kinds: dict[str, tuple[Any, Any]] = {}
+    kinds: dict[str, Any] = {}
     for block in blocks:
         with _opened(block) as part:
             for name, data in part.items():
                 shapes[name] = _larger(data.shape[1:], shapes.get(name))
-                if name not in kinds or data.dtype.itemsize > kinds[name][0].itemsize:
-                    kinds[name] = data.dtype, data.chunks
+                kinds[name] = max(data.dtype, kinds.get(name, data.dtype), key=_itemsize)
     sizes = {"step": 1, "element": 1}
     variables = {name: _variable(name, 1 + len(shape)) for name, shape in shapes.items()}
     for name, shape in shapes.items():
@@ -260,13 +250,13 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
         file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
         file[axis].attrs.update({"step": _STATE, "element": ELEMENT, **AXES}[axis].attributes)
     for name, variable in variables.items():
-        _create(file, variable, (len(study), *shapes[name]), *kinds[name])
+        _create(file, variable, (len(study), *shapes[name]), kinds[name])
     file["case"].make_scale("case")
     order = np.concatenate([block.numbers for block in blocks])
     for name, unit in study.units().items():
         values = study.stored(name)[order]
         variables[name] = Variable(name, ("case",), unit or "1", own_key(name).meaning)
-        data = _create(file, variables[name], values.shape, values.dtype, kinds["case"][1])
+        data = _create(file, variables[name], values.shape, values.dtype)
         data[...] = values.astype(data.dtype)
         if name in study.ranges:
             data.attrs.update(zip(("spacing", "low", "high"), study.ranges[name], strict=True))
@@ -276,46 +266,44 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
                 file[name].dims[i].attach_scale(file[axis])
 
 
-def _opened(block: Block) -> Any:
-    """Return the file of a block to read, as a context."""
-    return reading(block.path, SOFTWARE, "a block of a sweep", "; must be removed")
+def _itemsize(kind: Any) -> int:
+    return int(kind.itemsize)
+
+
+class DamagedError(InputError):
+    """A file of a block that is damaged."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(reason)
+        self.path = path
+
+
+@contextmanager
+def _opened(block: Block) -> Iterator[h5py.File]:
+    """Yield the file of a block to read, see ``reading``; DamagedError if it is damaged."""
+    try:
+        with reading(block.path, SOFTWARE, "a block of a sweep") as file:
+            yield file
+    except UnreadableError:
+        raise
+    except InputError as error:
+        raise DamagedError(block.path, str(error)) from error
 
 
 def _append(file: h5py.File, block: Block, first: int) -> dict[str, Any]:
-    """Write the cases of a block to the results, from a case on; return what the table needs."""
-    chunks: dict[str, list[tuple[tuple[int, ...], bytes]]] = {}
-    values: dict[str, Any] = {}
+    """Write the cases of a block to the results, from a case on; return them."""
     with _opened(block) as part:
-        for name, data in part.items():
-            whole = file[name]
-            alike = (data.dtype, data.chunks) == (whole.dtype, whole.chunks)
-            if has_layers(VARIABLES[name]):  # the body itself is the last
-                alike = alike and data.shape[1:] == whole.shape[1:]
-            if alike and first % data.chunks[0] == 0:
-                places = (data.id.get_chunk_info(i) for i in range(data.id.get_num_chunks()))
-                offsets = [place.chunk_offset for place in places]
-                chunks[name] = [(at, data.id.read_direct_chunk(at)[1]) for at in offsets]
-            if name not in chunks or name in _IN_TABLE:
-                values[name] = data[()]
-    for name, packed in chunks.items():
-        for (case, *rest), content in packed:
-            file[name].id.write_direct_chunk((first + case, *rest), content)
-    for name in values.keys() - chunks.keys():
-        table = _padded(name, values[name], file[name].shape[1:])
-        file[name][first : first + len(table)] = table.astype(file[name].dtype)
-    for name in _IN_TABLE & file.keys():
-        shape = file[name].shape[1:]
-        missing = np.full((len(block.numbers), *shape), np.nan)
-        values[name] = _padded(name, values.get(name, missing), shape)
+        values = {name: data[()] for name, data in part.items()}
+    count = len(block.numbers)
+    for name in file.keys() & {*VARIABLES}:
+        whole = file[name]
+        values.setdefault(name, np.full((count, *whole.shape[1:]), np.nan))
+        values[name] = _padded(name, values[name], whole.shape[1:]).astype(whole.dtype)
+        whole[first : first + count] = values[name]
     return values
 
 
 # -- the table ---------------------------------------------------------------------------------
-
-_IN_TABLE = {
-    "case", "status", "error", "seconds", "flags", "number",
-    *(end_value.stored.name for end_value in END_VALUES.values()),
-}  # fmt: skip
 
 
 def _columns(study: Study, block: Block, values: Mapping[str, Any]) -> dict[str, Sequence[str]]:
