@@ -1,7 +1,6 @@
 """The files of a sweep: one for each block, then ``results.h5`` and ``cases.csv`` of all of them.
 
-Blocks hold the variables of the results for their cases; they are copied one by one, and what HDF5
-finds damaged meanwhile is computed anew. Histories shorter than the longest, and contact lines of fewer elements than the finest, are padded
+Histories shorter than the longest, and contact lines of fewer elements than the finest, are padded
 with NaN; ``steps_stored`` and ``elements`` say how much is there. Cases are in the order of their
 blocks, which is that of the design where only numbers vary; ``number`` is their place in it.
 """
@@ -9,8 +8,9 @@ blocks, which is that of the design where only numbers vary; ``number`` is their
 import csv
 import hashlib
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -73,19 +73,15 @@ def arrays_of(
     errors : why the others have none, by place.
     """
     count = len(cases)
-    texts = {
-        "status": ["failed"] * count,
-        "error": [reason_of(errors[i]) if i in errors else "" for i in range(count)],
-        "flags": [""] * count,
-    }
+    texts = {name: np.full(count, "", dtype=object) for name in ("status", "error", "flags")}
+    for place, error in errors.items():
+        texts["status"][place], texts["error"][place] = "failed", reason_of(error)
     arrays: dict[str, Any] = {name: np.zeros(count, dtype) for name, dtype in _NUMBERS.items()}
-    tables: list[dict[str, Any]] = []
+    tables: list[tuple[IntArray, dict[str, Any]]] = []
     for at, columns in parts:
         rows, line = np.diff(columns.offsets), cases[at[0]].line
-        for i, place in enumerate(at.tolist()):
-            texts["status"][place] = columns.status[i]
-            texts["error"][place] = columns.reason[i]
-            texts["flags"][place] = ", ".join(columns.flags[i])
+        texts["status"][at], texts["error"][at] = columns.status, columns.reason
+        texts["flags"][at] = [", ".join(flags) for flags in columns.flags]
         arrays["steps_stored"][at], arrays["elements"][at] = rows, np.where(rows, line.n, 0)
         arrays["seconds"][at], arrays["imbalance"][at] = columns.seconds, columns.imbalance
         stored = np.arange(rows.max(initial=1)) < rows[:, None]
@@ -96,17 +92,14 @@ def arrays_of(
                 if name not in FIELDS or columns.deep:
                     table[name] = np.full((*stored.shape, *values.shape[1:]), np.nan)
                     table[name][stored] = values
-        tables.append(table)
-    shapes: dict[str, tuple[int, ...]] = {}
-    for table in tables:
-        for name, values in table.items():
-            shapes[name] = _larger(values.shape[1:], shapes.get(name))
-    for name, shape in shapes.items():
+        tables.append((at, table))
+    for name, shape in _largest(_rest(table) for _, table in tables).items():
         arrays[name] = np.full((count, *shape), np.nan)
-        for (at, _), table in zip(parts, tables, strict=True):
+        for at, table in tables:
             if name in table:
-                arrays[name][at] = _padded(name, table[name], shape)
-    return derived(arrays) | {name: np.array([t.encode() for t in v]) for name, v in texts.items()}
+                _put(arrays[name], at, table[name], name)
+    encoded = {name: np.array([text.encode() for text in v]) for name, v in texts.items()}
+    return derived(arrays) | encoded
 
 
 def derived(arrays: dict[str, Any]) -> dict[str, Any]:
@@ -123,23 +116,27 @@ def derived(arrays: dict[str, Any]) -> dict[str, Any]:
     return arrays
 
 
-def _larger(shape: tuple[int, ...], other: tuple[int, ...] | None) -> tuple[int, ...]:
-    """Return the shape that both fit into."""
-    return shape if other is None else tuple(map(max, shape, other))
+def _largest(shapes: Iterable[Mapping[str, tuple[int, ...]]]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes that those of the same name fit into."""
+    largest: dict[str, tuple[int, ...]] = {}
+    for name, shape in chain.from_iterable(each.items() for each in shapes):
+        largest[name] = tuple(map(max, shape, largest.get(name, shape)))
+    return largest
 
 
-def _padded(name: str, values: Any, shape: tuple[int, ...]) -> Any:
-    """Return the values of cases, (cases, *shape), NaN where they have fewer states or elements."""
-    if values.shape[1:] == shape:
-        return values
-    table = np.full((len(values), *shape), np.nan)
+def _rest(arrays: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of arrays without the axis of the cases."""
+    return {name: values.shape[1:] for name, values in arrays.items()}
+
+
+def _put(whole: Any, at: Any, values: Any, name: str) -> None:
+    """Write the values of some cases into an array with space for more states or elements."""
     cells = tuple(map(slice, values.shape[1:]))
     if has_layers(VARIABLES[name]):  # the body itself is the last
-        table[(slice(None), *cells)][..., :-1] = values[..., :-1]
-        table[(slice(None), *cells[:-1], -1)] = values[..., -1]
-    else:
-        table[(slice(None), *cells)] = values
-    return table
+        whole[(at, *cells[:-1], -1)] = values[..., -1]
+        values, cells = values[..., :-1], (*cells[:-1], slice(values.shape[-1] - 1))
+    if values.size:
+        whole[(at, *cells)] = values
 
 
 def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
@@ -187,12 +184,12 @@ def fingerprint(blocks: Sequence[Block]) -> str:
 
 
 def is_merged(folder: Path, blocks: Sequence[Block]) -> bool:
-    """Tell whether the results of these blocks are in a folder. On one rank."""
-    try:
-        with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
-            return bool(file.attrs.get("blocks") == fingerprint(blocks))
-    except InputError:
+    """Tell whether the results of these blocks are in a folder; InputError for others' files."""
+    if not (folder / RESULTS).exists():
         return False
+    must = "; must be removed, or a new folder"
+    with reading(folder / RESULTS, SOFTWARE, FILE_KIND, must) as file:
+        return bool(file.attrs.get("blocks") == fingerprint(blocks))
 
 
 def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> None:
@@ -220,8 +217,8 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
         _make(file, study, blocks)
         writer, first = csv.writer(table), 0
         for block in blocks:
-            values = _append(file, block, first)
-            columns = _columns(study, block, values)
+            _append(file, block, first)
+            columns = _columns(file, study, block, first)
             if not first:
                 writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
@@ -239,8 +236,8 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
     kinds: dict[str, Any] = {}
     for block in blocks:
         with _opened(block) as part:
+            shapes = _largest([shapes, _rest(part)])
             for name, data in part.items():
-                shapes[name] = _larger(data.shape[1:], shapes.get(name))
                 kinds[name] = max(data.dtype, kinds.get(name, data.dtype), key=_itemsize)
     sizes = {"step": 1, "element": 1}
     variables = {name: _variable(name, 1 + len(shape)) for name, shape in shapes.items()}
@@ -290,34 +287,34 @@ def _opened(block: Block) -> Iterator[h5py.File]:
         raise DamagedError(block.path, str(error)) from error
 
 
-def _append(file: h5py.File, block: Block, first: int) -> dict[str, Any]:
-    """Write the cases of a block to the results, from a case on; return them."""
+def _append(file: h5py.File, block: Block, first: int) -> None:
+    """Write the cases of a block to the results, from a case on."""
     with _opened(block) as part:
-        values = {name: data[()] for name, data in part.items()}
-    count = len(block.numbers)
-    for name in file.keys() & {*VARIABLES}:
+        arrays = {name: data[()] for name, data in part.items()}
+    for name, values in arrays.items():
         whole = file[name]
-        values.setdefault(name, np.full((count, *whole.shape[1:]), np.nan))
-        values[name] = _padded(name, values[name], whole.shape[1:]).astype(whole.dtype)
-        whole[first : first + count] = values[name]
-    return values
+        _put(whole, slice(first, first + len(values)), values.astype(whole.dtype), name)
 
 
 # -- the table ---------------------------------------------------------------------------------
 
 
-def _columns(study: Study, block: Block, values: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Return the columns of the table of a block's cases."""
-    columns: dict[str, Sequence[str]] = {"case": _cells(values["case"])}
+def _columns(file: h5py.File, study: Study, block: Block, first: int) -> dict[str, Sequence[str]]:
+    """Return the columns of the table of a block's cases, which are in the file from one on."""
+
+    def stored(name: str) -> Any:
+        return file[name][first : first + len(block.numbers)]
+
+    columns: dict[str, Sequence[str]] = {"case": _cells(stored("case"))}
     for name, column in study.columns.items():
         columns[name] = [cell(value) for value in column[block.numbers].tolist()]
-    columns |= {name: _cells(values[name]) for name in ("status", "error")}
+    columns |= {name: _cells(stored(name)) for name in ("status", "error")}
     for end_value in END_VALUES.values():
-        if end_value.stored.name in values:
-            for name, ends in entries(end_value, values[end_value.stored.name]).items():
+        if end_value.stored.name in file:
+            for name, ends in entries(end_value, stored(end_value.stored.name)).items():
                 columns[name] = _cells(ends)
-    columns["seconds"] = [f"{seconds:.4f}" for seconds in values["seconds"].tolist()]
-    return columns | {name: _cells(values[name]) for name in ("flags", "number")}
+    columns["seconds"] = [f"{seconds:.4f}" for seconds in stored("seconds").tolist()]
+    return columns | {name: _cells(stored(name)) for name in ("flags", "number")}
 
 
 def _cells(values: Any) -> list[str]:

@@ -29,7 +29,6 @@ from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, c
 from ringwear_par.studies.results_file import DamagedError, arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
 from ringwear_par.studies.together import MOST_PAIRS, computed
-from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
 
@@ -162,14 +161,9 @@ def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
     results, merged = folder / RESULTS, is_merged(folder, blocks)
     if not merged:
         check_folder(folder, (RESULTS, TABLE), "sweep")
-    stored = [results] if results.exists() else [*(folder / FOLDER).glob("*.h5")]
-    if stored and not merged and not {block.path for block in blocks} & {*stored}:
-        must = "; must be removed, or a new folder"
-        with reading(stored[0], SOFTWARE, FILE_KIND, must) as file:
-            version = str(file.attrs["version"])
-        same = version == __version__
-        whose = "another study" if same else f"version {version} of ringwear-par"
-        raise InputError(f"{folder}: holds cases of {whose}; must be a new folder")
+        stored = {results} if results.exists() else {*(folder / FOLDER).glob("*.h5")}
+        if stored and stored.isdisjoint(block.path for block in blocks):
+            raise InputError(f"{folder}: holds cases of another study; must be a new folder")
     for path in (block.path for block in blocks if retry and _has_failed(block)):
         path.unlink()
         results.unlink(missing_ok=True)

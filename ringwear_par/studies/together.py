@@ -6,7 +6,7 @@ Sweeps, lists of cases and fits all compute their histories here.
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 

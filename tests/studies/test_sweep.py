@@ -4,7 +4,6 @@ import shutil
 import tomllib
 from functools import partial
 
-import h5py
 import numpy as np
 import pytest
 from agreement import assert_values_agree
@@ -130,19 +129,15 @@ def test_again_recomputes_nothing_and_changes_nothing(known, tmp_path, comm):
     assert tomllib.loads(read_ensemble(copied).attributes["study"])["vary"] == tables["vary"]
 
 
-@pytest.mark.parametrize("changed", ["another study", "version 99.0"])
+@pytest.mark.parametrize("changed", ["study", "version"])
 def test_a_folder_of_another_study_or_version_is_refused(
     write, known, tmp_path, comm, monkeypatch, changed
 ):
     copied = shutil.copytree(known, tmp_path / "out")
-    if changed == "another study":
-        path = write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]"))
-    else:
-        path = write(STUDY)
-        with h5py.File(copied / "results.h5", "r+") as file:
-            file.attrs["version"] = "99.0"
+    path = write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]") if changed == "study" else STUDY)
+    if changed == "version":
         monkeypatch.setattr(study, "__version__", "98.0")
-    with pytest.raises(rw.InputError, match=changed):
+    with pytest.raises(rw.InputError, match="another study"):
         rw.sweep(path, copied, comm)
     assert table(copied) == table(known)
 
