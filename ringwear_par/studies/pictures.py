@@ -140,7 +140,7 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
     display = display_of(output)
     label = f"final {display.label}" if output == "penetration" else display.label
     values = display.factor * ensemble.final[output][choice.cases]
-    x = Axis(key.label, log=key.logarithmic, categories=_categories(key))
+    x = Axis(key.label, log=key.logarithmic, categories=tuple(map(raw_words, key.texts)))
     axes = x, value_axis(label, values), f"{label} over {key.label}"
     others = [other for other in choice.varied if other is not key and other.differs]
     grid = ensemble.attributes["method"] == "grid"
@@ -349,17 +349,10 @@ def raw_words(text: str) -> str:
     return in_words(parse_value(text)) if text else "none"
 
 
-def _categories(key: Factor) -> tuple[str, ...]:
-    """Return the texts of a key in few words, numbered where these would be the same."""
-    words = [raw_words(text) for text in key.texts]
-    same = len(set(words)) < len(words)
-    return tuple(f"{word} ({n})" if same else word for n, word in enumerate(words, 1))
-
-
 def _words(key: Factor) -> list[str]:
     """Return a key's value in each case, as short as its values stay apart."""
     if key.texts:
-        return [_categories(key)[int(number)] for number in key.values]
+        return [raw_words(key.texts[int(number)]) for number in key.values]
     count, words = len(np.unique(key.values)), list[str]()
     for digits in range(3, 18):
         words = [number_text(value, digits) for value in key.values]
