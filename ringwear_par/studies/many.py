@@ -16,7 +16,7 @@ from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.studies.together import computed, most_together
+from ringwear_par.studies.together import computed, most_together, some
 from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
@@ -105,8 +105,7 @@ def results_of(
             del pairs[key]
         parts, errors = computed(
             [_checked(cases[n]) for n in numbers], pairs, results=True,
-            step_times=None if step_times is None else [step_times[n] for n in numbers],
-            paces=None if paces is None else [paces[n] for n in numbers],
+            step_times=some(step_times, numbers), paces=some(paces, numbers),
         )  # fmt: skip
         results: dict[int, Result | Exception] = {**errors}
         for part in parts:

@@ -57,16 +57,16 @@ def most_together(case: Case, assembly: float = 0.0) -> int:
         size += 8.0 * stress_numbers(case)[1]
     step = _MOVING_STEP_SECONDS if case.follows_wear else _STEP_SECONDS
     seconds = assembly + step * case.about_steps * (1.0 + (n / 64.0) ** 2)
-    most = min(_side_by_side(case), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
+    most = min(_most_side_by_side(case), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
     return max(int(most), 1)
 
 
-def _side_by_side(case: Case) -> int:
+def _most_side_by_side(case: Case) -> int:
     """Return how many histories like a case's step at a time, for their fields to stay in cache."""
     return min(max(_NUMBERS // (_FIELDS * case.mesh.contact_elements), 16), MOST)
 
 
-def blocks_of(cases: Mapping[int, Case]) -> list[list[int]]:
+def _side_by_side(cases: Mapping[int, Case]) -> list[list[int]]:
     """Return the numbers of cases on the same contact elements that step together."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in cases.items():
@@ -75,7 +75,7 @@ def blocks_of(cases: Mapping[int, Case]) -> list[list[int]]:
     for numbers in groups.values():
         # those of the same moduli share a matrix
         numbers.sort(key=lambda n: (cases[n].lower.young, cases[n].upper.young))
-        size = _side_by_side(cases[numbers[0]])
+        size = _most_side_by_side(cases[numbers[0]])
         parts += [numbers[i : i + size] for i in range(0, len(numbers), size)]
     return parts
 
@@ -138,7 +138,7 @@ def computed(
         else:
             good[number] = case
     parts, stresses = [], _stresses(comm)
-    for numbers in blocks_of(good):
+    for numbers in _side_by_side(good):
         chosen = [good[number] for number in numbers]
         try:
             following = Following(chosen[0], comm) if chosen[0].follows_wear else None
@@ -146,7 +146,7 @@ def computed(
             recorder = Recorder(
                 chosen, comm, stresses=stresses, results=results, pair_is_shared=not following
             )
-            block = Block.of(chosen, pair, _some(step_times, numbers), _some(paces, numbers))
+            block = Block.of(chosen, pair, some(step_times, numbers), some(paces, numbers))
             failures = simulate(block, recorder, following=following)
         except InputError:
             raise
@@ -178,7 +178,8 @@ def _without_pair(
     return None
 
 
-def _some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
+def some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
+    """Return some of the values, or None where there are none."""
     return None if values is None else [values[number] for number in numbers]
 
 
