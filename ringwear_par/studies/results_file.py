@@ -281,9 +281,9 @@ def _opened(block: Block) -> Iterator[h5py.File]:
     try:
         with reading(block.path, SOFTWARE, "a block of a sweep") as file:
             yield file
-    except UnreadableError:
-        raise
     except InputError as error:
+        if isinstance(error, UnreadableError) or isinstance(error.__cause__, MemoryError):
+            raise
         raise DamagedError(block.path, str(error)) from error
 
 
