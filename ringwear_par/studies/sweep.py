@@ -28,7 +28,7 @@ from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, t
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
 from ringwear_par.studies.results_file import DamagedError, arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
-from ringwear_par.studies.together import MOST_PAIRS, computed
+from ringwear_par.studies.together import computed
 
 log = logging.getLogger(__name__)
 
@@ -251,9 +251,9 @@ def _compute_block(
 
     Parameters
     ----------
-    pairs : contact pairs of earlier blocks; those of this one are added.
+    pairs : contact pairs of the block before, whose places those of this one take.
     """
-    for key in [*pairs][:-MOST_PAIRS]:
+    for key in [*pairs][:-1]:  # which blocks that follow may share
         del pairs[key]
     cases = study.cases_of(block.numbers)
     parts, errors = computed(cases, pairs, comm)

@@ -4,7 +4,7 @@ Sweeps, lists of cases and fits all compute their histories here.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -19,7 +19,7 @@ from ringwear_par.history.elastic import assemble, operator_key
 from ringwear_par.history.following import Following
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.refusals import check_memory, check_mesh, stress_numbers
-from ringwear_par.history.stresses import CaseStresses, stress_key
+from ringwear_par.history.stresses import stress_key
 from ringwear_par.parallel import together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
@@ -27,8 +27,6 @@ from ringwear_par.results.variables import HISTORIES
 
 T = TypeVar("T")
 
-#: contact pairs that are kept for the next blocks
-MOST_PAIRS = 16
 #: numbers of histories that step together, of which one has about so many fields, and most of them
 _NUMBERS, _FIELDS, MOST = 2**21, 32, 2048
 #: bytes of the stored histories of cases that step together: they are in memory until all have
@@ -67,10 +65,11 @@ def _most_side_by_side(case: Case) -> int:
 
 
 def _side_by_side(cases: Mapping[int, Case]) -> list[list[int]]:
-    """Return the numbers of cases on the same contact elements that step together."""
+    """Return the numbers of cases on the same elements that step together."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in cases.items():
-        groups[case.contact, case.mesh, block_key(case)].append(number)
+        elements = (case.contact, case.mesh) if case.stress is None else stress_key(case)
+        groups[elements, block_key(case)].append(number)
     parts: list[list[int]] = []
     for numbers in groups.values():
         # those of the same moduli share a matrix
@@ -137,15 +136,13 @@ def computed(
             errors[number] = error
         else:
             good[number] = case
-    parts, stresses = [], _stresses(comm)
+    parts = []
     for numbers in _side_by_side(good):
         chosen = [good[number] for number in numbers]
         try:
             following = Following(chosen[0], comm) if chosen[0].follows_wear else None
             pair = [pairs[operator_key(c)] for c in chosen] if not following else [following.pair]
-            recorder = Recorder(
-                chosen, comm, stresses=stresses, results=results, pair_is_shared=not following
-            )
+            recorder = Recorder(chosen, comm, results=results, pair_is_shared=not following)
             block = Block.of(chosen, pair, some(step_times, numbers), some(paces, numbers))
             failures = simulate(block, recorder, following=following)
         except InputError:
@@ -181,17 +178,3 @@ def _without_pair(
 def some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
     """Return some of the values, or None where there are none."""
     return None if values is None else [values[number] for number in numbers]
-
-
-def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses]:
-    """Return what makes the stresses of unit loads of a case, integrated once for all alike."""
-    made: dict[Hashable, CaseStresses] = {}
-
-    def stresses(case: Case) -> CaseStresses:
-        key = stress_key(case)
-        if key not in made:
-            made.clear()
-            made[key] = CaseStresses(case, comm)
-        return made[key]
-
-    return stresses
