@@ -223,13 +223,10 @@ class Stresses:
         self.states[number].append(state)
         return edge
 
-    def where(self, number: int) -> dict[str, Any]:
-        """Return where the stresses of a history are, by name; nothing where it has none."""
-        return self._of(self._cases[number]).where if self.states[number] else {}
-
     def arrays(self, number: int) -> dict[str, Any]:
         """Return the stresses of a history so far by name, nothing where it has none."""
-        return stacked(self.states[number]) | self.where(number)
+        states = self.states[number]
+        return stacked(states) | self._of(self._cases[number]).where if states else {}
 
 
 def _infinite_edge(case: Case, state: Mapping[str, Any], moment: Moment) -> tuple[float, ...]:
