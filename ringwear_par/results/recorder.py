@@ -194,24 +194,21 @@ class Recorder:
         assert self.last is not None
         is_stored = self.last.state.time[0] <= self._rows.last_time[0]
         columns = self._rows.columns(None if is_stored else self.last)
-        stresses = self._stresses.arrays(0)
-        return self._result(0, columns, stresses, self._warnings()[0], error)
+        return self._result(0, columns, self._warnings()[0], error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
-        stresses = [self._stresses.arrays(number) for number in range(len(self._cases))]
-        every, columns = self._warnings(), self._rows.columns()
+        columns = self._rows.columns()
         return [
-            failures[i] if i in failures else self._result(i, columns, stresses[i], warnings)
-            for i, warnings in enumerate(every)
+            failures[i] if i in failures else self._result(i, columns, warnings)
+            for i, warnings in enumerate(self._warnings())
         ]
 
     def _result(
         self,
         number: int,
         columns: Columns,
-        stresses: Mapping[str, Any],
         warnings: Sequence[ValidityWarning],
         error: str = "",
     ) -> Result:
@@ -230,7 +227,7 @@ class Recorder:
         for i, name in enumerate(LAYER_ENDS):
             if case.rings[i].layers:
                 data[name] = case.layer_ends(i)
-        data |= {**stresses, **self._boundaries.arrays()}
+        data |= {**self._stresses.arrays(number), **self._boundaries.arrays()}
         through = times_through(case, state.through[0])
         return Result(
             data,
