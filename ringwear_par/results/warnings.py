@@ -15,6 +15,7 @@ from ringwear_par.history.checks import (
     FEW_ELEMENTS,
     INFINITE_AT_INTERFACE,
     INFINITE_STRESS,
+    MOST_ANGLE,
     force_measure,
     worn_share,
 )
@@ -180,6 +181,15 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
         for layer in range(len(ring.layers)):
             if worn_share(body, layer) in worst:  # elements do not follow the wear
                 yield _worn_layer(cases, body, layer, worst[worn_share(body, layer)])
+
+    share, when_aside, r, lower, upper, acts = worst["unlike_slopes"]
+    advice = '; mesh.geometry = "updated" follows the worn faces' * (not cases[0].follows_wear)
+    yield "unlike_slopes", share > _LOAD_ASIDE, lambda i: (
+        f"{100.0 * share[i]:.2g} % of the load at t = {when_aside[i]:g} s is borne where the "
+        f"direction of the pressure is more than {MOST_ANGLE:g} degrees off the normal of a face: "
+        f"at r = {r[i]:.6g} mm lower slopes by {lower[i]:.3g}, upper by {upper[i]:.3g} degrees, "
+        f"and the pressure acts as on a slope of {acts[i]:.3g} degrees{advice}"
+    )  # fmt: skip
 
     exclude = 0.0 if cases[0].stress is None else cases[0].stress.exclude
     grows = f"this number grows as stress.exclude, now {exclude:g} mm, is made smaller"
