@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-#: a number of a history: a float, or an array (B,) of B histories
-Numbers = Any
 
 #: size of a complex step: its square is lost in round-off
 COMPLEX_STEP = 1e-30
@@ -20,39 +18,6 @@ COMPLEX_STEP = 1e-30
 _STEP = 1e-5
 #: relative deviation from the difference at which a complex step counts as failed
 _AGREEMENT = 1e-5
-
-
-def columns(numbers: Any) -> Any:
-    """Return numbers of histories so that they go with (..., n) fields: (B,) as (B, 1).
-
-    The number of a single history, and what has columns already, stay as they are.
-    """
-    return numbers[:, None] if isinstance(numbers, np.ndarray) and numbers.ndim == 1 else numbers
-
-
-def inner(weights: FloatArray, values: FloatArray) -> Any:
-    """Return the sums of weights (n,), or (B, n), times values (..., n): a float, or (...).
-
-    The digits of a history among others do not depend on them: no BLAS, which rounds by how many
-    there are.
-    """
-    if values.ndim == 1:
-        return float(weights @ values)
-    return np.einsum("...i,...i->...", weights, values)
-
-
-def largest(values: FloatArray) -> FloatArray:
-    """Return the largest of each row, (..., n) to (...): NumPy finds its place in less time."""
-    rows = values.reshape(-1, values.shape[-1])
-    return rows[np.arange(len(rows)), rows.argmax(axis=1)].reshape(values.shape[:-1])
-
-
-def share(weights: FloatArray, which: BoolArray) -> Any:
-    """Return the share of weights (n,) where it is so, (..., n): a float, or (...).
-
-    Never more than 1, and 1 everywhere: both sums round alike.
-    """
-    return inner(weights, which.astype(float)) / inner(weights, np.ones(which.shape))
 
 
 def relative(off: Any, exact: Any) -> Any:
