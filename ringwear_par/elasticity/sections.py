@@ -191,41 +191,13 @@ SHAPE_UNITS = {"crown": "mm", "sphere": "mm", "cone": "deg", "fillet": "mm", "tr
 _SAMPLES, _ARC = 101, 31
 
 
-def _edge_faults(entry: str, inner: float, outer: float, r: Pair) -> list[str]:
-    """Return the faults of an inner and an outer edge, cut off or rounded by so many mm."""
-    faults, width = [], r[1] - r[0]
-    if r[0] == 0 and inner > 0:
-        faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
-    if inner + outer >= width:
-        faults.append(f"{entry}: both together must be < {width:g}, the width of the face (mm)")
-    return faults
-
-
-def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
-    """Return the faults of the chamfers of a ring, "key = value: sentence"."""
-    entry = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
-    faults = _edge_faults(entry, *chamfer, r)
-    if max(chamfer) >= z[1] - z[0]:
-        faults.append(f"{entry}: must be smaller than the height, {z[1] - z[0]:g} (mm)")
-    return faults
-
-
-def chamfer_face(chamfer: Pair, r: Pair) -> Polyline:
-    """Return the contact face with its corners cut off at 45 degrees, in the body's own frame."""
-    (inner, outer), (a, b) = chamfer, r
-    if not any(chamfer):
-        return ()
-    points = [(a, -inner), (a + inner, 0.0), (b - outer, 0.0), (b, -outer)]
-    return tuple(p for p, keep in zip(points, (inner, True, True, outer), strict=True) if keep)
-
-
 class Shape(NamedTuple):
     """A contact face by the name of its shape."""
 
-    #: one of ``SHAPE_UNITS``
+    #: one of ``SHAPE_UNITS``, or "chamfer"
     name: str
-    #: what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and heights in
-    #: mm in turns
+    #: what it has: radii in mm (of a chamfer or fillet one or two), an angle in degrees, radii and
+    #: heights in mm in turns
     numbers: tuple[float, ...]
 
 
@@ -237,21 +209,22 @@ def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
         faults.append(f"{entry}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
     elif shape.name == "sphere" and first <= b:
         faults.append(f"{entry}: must be > {b:g}, the outer radius (mm)")
-    elif shape.name == "fillet":
-        inner, outer = _fillets(shape.numbers, r)
-        faults = _edge_faults(f"profile = {{ fillet = [{inner:g}, {outer:g}] }}", inner, outer, r)
+    elif shape.name in ("chamfer", "fillet"):
+        inner, outer = _at_edges(shape.numbers, r)
+        entry = f"{shape.name} = [{inner:g}, {outer:g}]"
+        entry = f"profile = {{ {entry} }}" if shape.name == "fillet" else entry
+        if a == 0 and inner > 0:
+            faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
+        if inner + outer >= b - a:
+            faults.append(f"{entry}: both together must be < {b - a:g}, the width of the face (mm)")
     elif shape.name == "trace":
-        start, end = shape.numbers[0], shape.numbers[-2]
-        if start > a + CLOSE * b or end < b - CLOSE * b:
-            faults.append(
-                f"profile: a trace from r = {start:g} to {end:g} mm; must cover the face, from "
-                f"{a:g} to {b:g} mm"
-            )
+        entry, end = f"profile: a trace from r = {first:g}", shape.numbers[-2]
+        if first > a + CLOSE * b or end < b - CLOSE * b:
+            faults.append(f"{entry} to {end:g} mm; must cover the face, from {a:g} to {b:g} mm")
     deepest = 0.0 if faults else -min((depth for _, depth in shape_face(shape, r)), default=0.0)
     if deepest >= height:
         faults.append(
-            f"profile = {{ {shape.name} }}: recedes by {deepest:g}; must be < {height:g}, the "
-            "height of the body (mm)"
+            f"{entry}: recedes by {deepest:g}; must be < {height:g}, the height of the body (mm)"
         )
     return faults
 
@@ -262,8 +235,8 @@ def shape_face(shape: Shape, r: Pair) -> Polyline:
     Curves are sampled so densely that they are taken for smooth.
     """
     (a, b), numbers = r, shape.numbers
-    if shape.name == "fillet":
-        return _filleted(*_fillets(numbers, r), r)
+    if shape.name in ("chamfer", "fillet"):
+        return _edged(*_at_edges(numbers, r), r, shape.name)
     if shape.name == "trace":
         radii, heights = np.array(numbers[::2]), np.array(numbers[1::2])
         x = np.unique([a, *radii[(radii > a) & (radii < b)], b])
@@ -280,22 +253,24 @@ def shape_face(shape: Shape, r: Pair) -> Polyline:
     return tuple(zip(x.tolist(), z.tolist(), strict=True)) if z.any() else ()
 
 
-def _fillets(numbers: tuple[float, ...], r: Pair) -> Pair:
-    """Return the radii at the inner and outer edge; one number is for the edges that there are."""
+def _at_edges(numbers: tuple[float, ...], r: Pair) -> Pair:
+    """Return the sizes at the inner and outer edge; one number is for the edges that there are."""
     inner = 0.0 if len(numbers) == 1 and r[0] == 0 else numbers[0]
     return inner, numbers[-1]
 
 
-def _filleted(inner: float, outer: float, r: Pair) -> Polyline:
-    """Return the flat face with edges rounded by quarters of circles."""
-    angles = np.radians(np.linspace(90.0, 0.0, _ARC))
-    arc = np.stack([np.sin(angles), np.cos(angles) - 1.0], axis=1)
+def _edged(inner: float, outer: float, r: Pair, name: str) -> Polyline:
+    """Return the flat face with edges cut off at 45 degrees or rounded by quarters of circles."""
+    edge = np.array([[1.0, -1.0], [0.0, 0.0]])  # of size 1, from the side face to the flat one
+    if name == "fillet":
+        angles = np.radians(np.linspace(90.0, 0.0, _ARC))
+        edge = np.stack([np.sin(angles), np.cos(angles) - 1.0], axis=1)
     a, b = r
     points = [(a, 0.0), (b, 0.0)]
     if inner > 0:
-        points[:1] = [(a + inner * (1.0 - x), inner * z) for x, z in arc]
+        points[:1] = [(a + inner * (1.0 - x), inner * z) for x, z in edge]
     if outer > 0:
-        points[-1:] = [(b - outer * (1.0 - x), outer * z) for x, z in arc[::-1]]
+        points[-1:] = [(b - outer * (1.0 - x), outer * z) for x, z in edge[::-1]]
     return tuple((float(x), float(z)) for x, z in points) if inner or outer else ()
 
 

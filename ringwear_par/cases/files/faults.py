@@ -216,12 +216,8 @@ def contact_faces(
         r, z = values[f"{ring}.r"], values[f"{ring}.z"]
         face_faults: list[str] = []
         if chamfer is not None:
-            inner, outer = chamfer
-            if inner is None:  # one number is for the corners that there are
-                inner = outer if r[0] > 0 else 0.0
-            face_faults = sections.chamfer_faults((inner, outer), r, z)
-            if not face_faults:
-                faces[ring] = sections.chamfer_face((inner, outer), r)
+            sizes = tuple(size for size in chamfer if size is not None)
+            profile = sections.Shape("chamfer", sizes)
         if isinstance(profile, sections.Shape):
             face_faults = sections.shape_faults(profile, r, z)
             if not face_faults:
