@@ -58,8 +58,7 @@ def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
 
 def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:
     """Return the elasticity of a case whose elements follow the wear. Collective on comm."""
-    lower, upper = (law is not None for law in case.laws)
-    return UpdatedGeometry(bodies(case), (lower, upper), case.line, case.mesh, comm)
+    return UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
 
 
 def boundary_recovery(case: Case, comm: MPI.Comm) -> BoundaryRecovery:

@@ -267,14 +267,12 @@ class Recorder:
 
         Of several histories, those of one in the mean.
         """
-        assembly = solution = 0.0
-        costs = [] if self._pair_is_shared else [instant.block.line.pairs[0].cost]
+        elastic = np.zeros(2)
+        if not self._pair_is_shared:
+            elastic += instant.block.line.pairs[0].seconds
         if instant.following is not None:
-            costs.append(instant.following.cost)
-        for cost in costs:
-            assembly, solution = (
-                assembly + cost.seconds_assembly, solution + cost.seconds_solution,
-            )  # fmt: skip
+            elastic += instant.following.seconds
+        assembly, solution = elastic.tolist()
         stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
         seconds = {
             "seconds_assembly": assembly,
