@@ -145,27 +145,16 @@ def _side_elements(section: Section, at_contact_edge: bool, height: float, mesh:
     return max(_FEWEST, math.ceil(whole * (height / section.height) ** (1.0 / CORNER_GRADING)))
 
 
-def _counted(section: Section, contact: tuple[float, float], mesh: Mesh, name: str) -> int:
-    """Return how many elements a mesh would have, or of some name of ``BoundaryMesh``.
+@lru_cache(maxsize=64)
+def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
+    """Return about how many boundary elements ``zone_meshes`` would make.
 
     Of large meshes in proportion to a smaller one: they may be larger than any machine's memory.
     """
     n = min(mesh.contact_elements, _MOST_MADE)
-    line, fine = ContactLine(np.linspace(*contact, n + 1)), name == "below"
-    zones = zone_meshes(section, line, replace(mesh, contact_elements=n), fine=fine)
-    return sum(len(getattr(zone, name)) for zone in zones) * mesh.contact_elements // n
-
-
-@lru_cache(maxsize=64)
-def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
-    """Return about how many boundary elements ``zone_meshes`` would make."""
-    return _counted(section, contact, mesh, "elements")
-
-
-@lru_cache(maxsize=64)
-def count_at_interfaces(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
-    """Return about how many elements lie along interfaces, on one side, for stresses."""
-    return _counted(section, contact, mesh, "below")
+    line = ContactLine(np.linspace(*contact, n + 1))
+    zones = zone_meshes(section, line, replace(mesh, contact_elements=n))
+    return sum(len(zone.elements) for zone in zones) * mesh.contact_elements // n
 
 
 def _side(
