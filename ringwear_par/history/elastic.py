@@ -61,7 +61,7 @@ def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:
     return UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
 
 
-def boundary_recovery(case: Case, comm: MPI.Comm) -> BoundaryRecovery:
+def boundary_recovery(case: Case, comm: MPI.Comm, *, fine: bool = False) -> BoundaryRecovery:
     """Return the recovery of the whole-boundary fields of a case. Not collective."""
     planes = case.lower.z[1], case.upper.z[0]
-    return BoundaryRecovery(bodies(case), case.line, case.mesh, planes, comm)
+    return BoundaryRecovery(bodies(case), case.line, case.mesh, planes, comm, fine=fine)

@@ -10,8 +10,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, Side
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies, point_depths
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory, StressState
-from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery, interfaces
-from ringwear_par.history.elastic import bodies, boundary_recovery, operator_key
+from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
+from ringwear_par.history.elastic import boundary_recovery, operator_key
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
 #: infinite there
@@ -108,15 +108,10 @@ class CaseStresses:
                 np.concatenate([sides[of_body], np.zeros(len(grid))]),
             )
 
-        both, planes = bodies(case), (case.lower.z[1], case.upper.z[0])
-        self._recovery = StressRecovery(
-            both, case.line, case.mesh, planes, (of(0), of(1)), case.stress.exclude, comm
-        )
+        boundaries = boundary_recovery(case, comm, fine=True)
+        self._recovery = StressRecovery(boundaries, (of(0), of(1)), case.stress.exclude)
         #: of lower and upper
-        self.interfaces = (
-            interfaces(both[0], case.line, case.mesh, "lower", planes[0]),
-            interfaces(both[1], case.line, case.mesh, "upper", planes[1]),
-        )
+        self.interfaces = boundaries.interfaces()
 
     def at(self, case: Case, moment: Moment) -> StressState:
         """Return the stresses of a state. Collective on comm.
