@@ -344,7 +344,8 @@ class StressRecovery:
             towards, away = (0, 1) if i == 0 else (1, 0)  # the contact
             interfaces[at, towards] = faces[outer][boundaries[outer].below]
             interfaces[at, away] = faces[inner][boundaries[inner].above]
+        under, layers = self._line.element_at(points[:, 0]), len(zones) if len(zones) > 1 else 0
         return _UnitStress(
-            search, points, numbers, self._line.element_at(points[:, 0]), blocks,
-            faces[0][boundaries[0].contact], interfaces, self._line.element_at(middles), len(zones) if len(zones) > 1 else 0,
+            search, points, numbers, under, blocks, faces[0][boundaries[0].contact], interfaces,
+            self._line.element_at(middles), layers,
         )  # fmt: skip
