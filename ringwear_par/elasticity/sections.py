@@ -60,12 +60,7 @@ class Section:
             and over_all
             and all(-first < v <= 0 for v in z)
         ):
-            raise InputError(
-                f"section r = {self.r}, height = {self.height}, layers = {self.layers}, face = "
-                f"{self.face}: 0 <= inner < outer radius, layers thicker than 0 that are together "
-                "thinner than the body, and a face over increasing radii within the first of them, "
-                "or above the fixed face, are needed"
-            )
+            raise InputError(f"{self}: radii, height, layers and face make no section of a body")
 
     @property
     def points(self) -> FloatArray:
@@ -166,14 +161,8 @@ class Body:
     poisson: float
     #: how the face away from the contact is fixed
     grip: Grip
-    #: materials of the section's layers
+    #: materials of the section's layers, one each
     layers: tuple[Material, ...] = ()
-
-    def __post_init__(self) -> None:
-        if len(self.layers) != len(self.section.layers):
-            raise InputError(
-                f"body: {len(self.layers)} materials for {len(self.section.layers)} layers"
-            )
 
     @property
     def relative(self) -> tuple[Material, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, graded, pieces
 from ringwear_par.elasticity.sections import Section, corners
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
 
 #: grading exponent of the free and fixed faces towards every corner and contact edge
 CORNER_GRADING = 3.5
@@ -214,13 +214,9 @@ def zone_meshes(
 
     Raises
     ------
-    InputError : the contact line leaves the section.
     ComputationError : more is worn than half of the body's height.
     """
     a, b = float(line.edges[0]), float(line.edges[-1])
-    inner, outer = section.r
-    if not inner <= a < b <= outer:
-        raise InputError(f"section r = {section.r}: the contact line {a}, {b} must lie within")
     top, names = _face(section, line, mesh, fine)
     worn_top = top.copy()
     if worn is not None:
@@ -248,7 +244,7 @@ def zone_meshes(
         )
         contour = [_named(base_name, worn_base[::-1]), _named("outer_side", up)]
         contour.append(_Piece(worn_top, names))
-        if inner > 0:  # otherwise the contour runs from axis to axis
+        if section.r[0] > 0:  # otherwise the contour runs from axis to axis
             contour.append(_named("inner_side", down[::-1]))
         zones.append(_closed(contour))
         top, worn_top, names = base, worn_base, ["above"] * (len(base) - 1)
