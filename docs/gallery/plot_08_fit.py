@@ -58,7 +58,7 @@ print(found.summary())
 # %%
 # The model with these numbers, beside the readings:
 
-fitted = {p.key: p.estimate for p in found.parameters}
+fitted = {key: entry["estimate"] for key, entry in found.parameters.items()}
 figure, axes = plt.subplots(figsize=(4.6, 3.2))
 for number, (name, pressure) in enumerate(pressures.items()):
     model = rw.simulate(rw.read_case(rig, {"load.pressure": pressure, **times, **fitted})).histories

@@ -50,7 +50,7 @@ print(found.summary())
 # %%
 # The standard deviation of k that each test would give:
 
-pressure = np.array([test.loads[0] for test in found.candidates])
+pressure = np.array([test.keys["load.pressure"] for test in found.candidates])
 duration = np.array([test.seconds for test in found.candidates])
 figure, axes = plt.subplots(figsize=(4.6, 3.2))
 for seconds in (40, 100, 200):

@@ -20,20 +20,6 @@ def point_bodies(case: Case) -> list[int]:
     return [_bodies_at(case, r, z, side)[0] for r, z, side in case.stress.points]
 
 
-def point_depths(case: Case, bodies: IntArray) -> FloatArray:
-    """Return how deep each point of a case lies under the unworn face of its body, mm; 0 on it.
-
-    Parameters
-    ----------
-    bodies : (p,) int, of each point.
-    """
-    assert case.stress is not None
-    r, z = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2).T
-    faces = np.stack([_face(case, ring, r) for ring in case.rings])
-    depths = np.abs(faces[bodies, np.arange(len(r))] - z)
-    return np.where(depths > _ON * _size(case), depths, 0.0)
-
-
 def grid_bodies(case: Case) -> IntArray:
     """Return of which body each point of a case's grid is, (nr, nz); -1: of none, or on an edge."""
     assert case.stress is not None

@@ -3,13 +3,11 @@
 Sentences are for the end, see ``results.warnings``.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, relative
+from ringwear_par.arrays import FloatArray, IntArray, relative
 from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -24,36 +22,24 @@ FEW_ELEMENTS = 10
 MOST_ANGLE = 15.0
 #: relative difference of two values of a measure that are the same
 _ROUND_OFF = 1e-9
+#: the measure of the largest stress (MPa) beside an edge where it is infinite, and its radius (mm)
+INFINITE_STRESS = "infinite_stress"
 #: numbers of a measure: value, time (s), and up to four that tell where it was
 ENTRIES = 6
 
 
-@dataclass(frozen=True)
-class Balances:
-    """Relative defects of balances, and the error of time steps.
-
-    Force and energy hold to the accuracy of the contact solver; torque and reaction vanish with the
-    mesh, the step error with the steps.
-    """
-
-    #: contact pressure against the applied force (0 at given displacement)
-    force: float = 0.0
-    #: torque on the fixed faces against the friction torque, the worse of both bodies
-    torque: float = 0.0
-    #: axial force on the fixed faces against that of the contact pressure, the worse of both bodies
-    reaction: float = 0.0
-    #: worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers what
-    #: the volumes of all of them took of it
-    energy: float = 0.0
-    #: natural residual of the contact, eq. (3) as collocated, over the largest pressure
-    residual: float = 0.0
-    #: mm, the error of wear that steps are estimated to make over the history
-    step_error: float = 0.0
-
-
-#: the balances that hold on any mesh, by any steps
+#: relative defects of balances: those of force and energy hold to the accuracy of the contact
+#: solver, torque and reaction vanish with the mesh, the step error with the steps
+BALANCES = (
+    "force",  # contact pressure against the applied force (0 at given displacement)
+    "torque",  # on the fixed faces against the friction torque, the worse of both bodies
+    "reaction",  # axial force on the fixed faces against that of the pressure, likewise
+    "energy",  # worn volume, of all layers, against k times the dissipated energy; 0 where p0 > 0
+    "residual",  # natural residual of the contact, eq. (3), over the largest pressure
+    "step_error",  # mm, the error of wear that steps are estimated to make over the history
+)
+#: those that hold on any mesh, by any steps
 _EXACT = ("force", "energy", "residual")
-_NAMES = [declared.name for declared in fields(Balances)]
 
 
 def force_measure(count: int) -> str:
@@ -73,8 +59,8 @@ class Worst:
     the force that is carried (N), the mean pressure on the elements in contact (MPa), where they
     are enough to tell it; the force on few elements, see ``force_measure``; the asymmetry of the
     compliance; the share of the load between faces of unlike slopes, with the radius (mm) where it
-    is largest and the angles there of lower, of upper and of the pressure (degrees); and shares of
-    worn layers.
+    is largest and the angles there of lower, of upper and of the pressure (degrees); shares of worn
+    layers; and ``INFINITE_STRESS``.
     """
 
     def __init__(self, count: int) -> None:
@@ -87,22 +73,20 @@ class Worst:
         block, state = instant.block, instant.state
         for name, values in {**balances(block, state), **_measures(block, state)}.items():
             value, *place = values if isinstance(values, tuple) else (values,)
-            measure = self.measures.setdefault(name, np.zeros((ENTRIES, self._count)))
-            value = np.broadcast_to(value, len(block))
-            # by more than round-off, which would choose the time of what is constant; NaN too
-            worse = ~(value <= measure[0, block.number] * (1.0 + _ROUND_OFF))
-            for entry, column in enumerate((value, state.time, *place)):
-                measure[entry, block.number[worse]] = column[worse]
+            self.take(name, block.number, value, state.time, *place)
 
-    def restore(self, before: Mapping[str, Sequence[float]]) -> None:
-        """Take the measures that an interrupted single history had."""
-        for name, values in before.items():
-            self.measures[name] = np.array(values)[:, None]
+    def take(self, name: str, number: IntArray, value: Any, *place: FloatArray) -> None:
+        """Take values of a measure of histories of these numbers, with times and places."""
+        measure = self.measures.setdefault(name, np.zeros((ENTRIES, self._count)))
+        value = np.broadcast_to(value, len(number))
+        # by more than round-off, which would choose the time of what is constant; NaN too
+        worse = ~(value <= measure[0, number] * (1.0 + _ROUND_OFF))
+        for entry, column in enumerate((value, *place)):
+            measure[entry, number[worse]] = column[worse]
 
-    def balances(self, number: int = 0) -> Balances:
+    def balances(self, number: int) -> dict[str, float]:
         """Return the worst balances of one history."""
-        values = {name: float(self.measures[name][0, number]) for name in _NAMES}
-        return Balances(**values)
+        return {name: float(self.measures[name][0, number]) for name in BALANCES}
 
     @property
     def imbalance(self) -> FloatArray:
@@ -112,7 +96,7 @@ class Worst:
 
 
 def balances(block: Block, state: State) -> dict[str, Any]:
-    """Return the defects of states, see ``Balances``, (B,) each or 0."""
+    """Return the defects of states, see ``BALANCES``, (B,) each or 0."""
     p, line, pair = state.pressure, block.line, block.compliance.pair
     force = p @ line.area
     friction = block.moment(p)

@@ -1,15 +1,16 @@
 """Stresses and boundary fields of the stored states that cases ask for."""
 
-from collections.abc import Callable, Hashable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, Side
-from ringwear_par.cases.stress_points import grid_bodies, point_bodies, point_depths
-from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory, StressState
+from ringwear_par.cases.stress_points import grid_bodies, point_bodies
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.elasticity.stress.fields import MESH_FIELDS
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
 from ringwear_par.history.elastic import boundary_recovery, operator_key
 
@@ -18,6 +19,10 @@ from ringwear_par.history.elastic import boundary_recovery, operator_key
 RISING = 1.2
 
 _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
+#: where a largest stress is, see ``fields.Largest``
+_PLACE = ("r", "z", "layer")
+#: arrays that are stored of single histories alone
+_FIELDS = ("stress_grid", *(f"surface_stress_{body}" for body in BODIES))
 
 
 class Moment(NamedTuple):
@@ -49,6 +54,12 @@ def selected(which: str | tuple[float, ...], moment: Moment, last_stored: float)
     return any(last_stored + near < t <= moment.time + near for t in which)
 
 
+def stacked(states: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the arrays that states have, one after another along a new first axis."""
+    names = [name for name in states[-1] if name in states[0]] if states else []
+    return {name: np.array([state[name] for state in states]) for name in names}
+
+
 class Boundaries:
     """Fields on the boundaries of lower and upper, of a case that has a history of its own.
 
@@ -58,8 +69,8 @@ class Boundaries:
     def __init__(self, case: Case, comm: MPI.Comm) -> None:
         self._case, self._which = case, case.output.boundary
         self._recovery = boundary_recovery(case, comm) if self._which != "none" else None
-        #: the states so far
-        self.states: list[BoundaryState] = []
+        #: arrays of each state so far by place, see ``results.variables``
+        self.states: list[dict[str, Any]] = []
 
     def __call__(self, moment: Moment, last_stored: float) -> None:
         """Recover the fields of a stored state, if the case wants them."""
@@ -69,7 +80,16 @@ class Boundaries:
             moment.pressure, moment.approach, self._case.friction_at(moment.time), moment.wear,
             moment.meshed,
         )  # fmt: skip
-        self.states.append(BoundaryState(moment.steps, moment.time, fields))
+        state: dict[str, Any] = {}
+        for body, of in zip(BODIES, fields, strict=True):
+            values = {**vars(of), "time": moment.time, "steps_made": moment.steps}
+            state |= {f"boundary/{body}/{name}": value for name, value in values.items()}
+        self.states.append(state)
+
+    def arrays(self) -> dict[str, Any]:
+        """Return the fields so far by place."""
+        data = stacked(self.states)
+        return {n: v[0] if n.endswith(MESH_FIELDS) else v for n, v in data.items()}
 
 
 def stress_key(case: Case) -> Hashable:
@@ -90,31 +110,31 @@ class CaseStresses:
         assert case.stress is not None
         grid = case.stress.grid
         axes = grid.axes if grid is not None else (np.empty(0), np.empty(0))
-        #: (p, 2) mm, the points, and their sides; radii and heights of the grid
-        self.points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
-        self.sides = tuple(side for _, _, side in case.stress.points)
-        self.grid, self._exclude = axes, case.stress.exclude
-        #: (p,) bodies of the points, and mm, how deep these are under the unworn faces
-        self.of_points = np.array(point_bodies(case), int)
-        self.depths = point_depths(case, self.of_points)
+        points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
+        names = [side for _, _, side in case.stress.points]
+        self._of_points = np.array(point_bodies(case), int)
         self._of_grid = grid_bodies(case)
         on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        sides = np.array([_SIDES[side] for side in self.sides])
+        sides = np.array([_SIDES[side] for side in names])
 
         def of(i: int) -> StressPoints:
-            of_body, grid = self.of_points == i, on_grid[self._of_grid == i]
+            of_body, grid = self._of_points == i, on_grid[self._of_grid == i]
             return StressPoints(
-                np.concatenate([self.points[of_body], grid]),
+                np.concatenate([points[of_body], grid]),
                 np.concatenate([sides[of_body], np.zeros(len(grid))]),
             )
 
         boundaries = boundary_recovery(case, comm, fine=True)
         self._recovery = StressRecovery(boundaries, (of(0), of(1)), case.stress.exclude)
-        #: of lower and upper
-        self.interfaces = boundaries.interfaces()
+        where: dict[str, Any] = {"grid_r": axes[0], "grid_z": axes[1]}
+        for body, (r, z) in zip(BODIES, boundaries.interfaces(), strict=True):
+            where |= {f"interface_r_{body}": r, f"interface_z_{body}": z}
+        where |= {"point_r": points[:, 0], "point_z": points[:, 1], "point_side": names}
+        #: arrays by name that are the same at all states, see ``results.variables``
+        self.where = _present({**where, "stress_exclude": np.array(case.stress.exclude)})
 
-    def at(self, case: Case, moment: Moment) -> StressState:
-        """Return the stresses of a state. Collective on comm.
+    def at(self, case: Case, moment: Moment) -> dict[str, Any]:
+        """Return the stresses of a state by name, see ``results.variables``. Collective on comm.
 
         Raises
         ------
@@ -125,31 +145,26 @@ class CaseStresses:
         )
         friction, gone = case.friction_at(moment.time), (lower, upper)
         both = self._recovery.stresses(moment.pressure, friction, moment.meshed, gone)
-        points = np.empty((len(self.points), 6))
+        points = np.empty((len(self._of_points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)
-        for i, body in enumerate(both):
-            count = np.count_nonzero(self.of_points == i)
-            points[self.of_points == i] = body.points[:count]
+        state: dict[str, Any] = {"stress_time": moment.time, "stress_steps_made": moment.steps}
+        for i, (name, body) in enumerate(zip(BODIES, both, strict=True)):
+            count = np.count_nonzero(self._of_points == i)
+            points[self._of_points == i] = body.points[:count]
             grid[self._of_grid == i] = body.points[count:]
-        return StressState(
-            moment.steps, moment.time, points, grid,
-            (both[0].surface, both[1].surface), (both[0].largest, both[1].largest),
-            (both[0].interfaces, both[1].interfaces), (both[0].layers, both[1].layers),
-        )  # fmt: skip
-
-    def history(self, states: tuple[StressState, ...]) -> StressHistory:
-        """Return the stresses of some states, and where they are."""
-        return StressHistory(
-            self.points, self.sides, self.grid, self._exclude, self.interfaces, states
-        )
+            state |= {
+                f"surface_stress_{name}": body.surface,
+                f"interface_stress_{name}": body.interfaces,
+                f"max_mises_{name}_layers": body.layers,
+                f"max_mises_{name}": body.largest.mises,
+                **{f"max_mises_{name}_{at}": getattr(body.largest, at) for at in _PLACE},
+            }
+        return _present({**state, "stress": points, "stress_grid": grid})
 
 
-class InfiniteEdge(NamedTuple):
-    """A largest stress (MPa) beside an edge where it is infinite, its time (s) and radius (mm)."""
-
-    mises: float = 0.0
-    time: float = 0.0
-    r: float = 0.0
+def _present(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arrays that hold something."""
+    return {name: values for name, values in arrays.items() if np.size(values)}
 
 
 class Stresses:
@@ -169,15 +184,19 @@ class Stresses:
         *,
         points_only: bool = False,
     ) -> None:
-        self._cases, self._points_only, count = cases, points_only, len(cases)
-        self._of = of
-        self.states: list[list[StressState]] = [[] for _ in range(count)]
-        self.infinite = [InfiniteEdge()] * count
+        self._cases, self._of, self._points_only = cases, of, points_only
+        #: arrays of each state so far by name, of each history
+        self.states: list[list[dict[str, Any]]] = [[] for _ in cases]
         #: why stresses of some histories could not be computed
         self.failures: dict[int, Exception] = {}
 
-    def __call__(self, number: int, moment: Moment, last_stored: float) -> None:
+    def __call__(self, number: int, moment: Moment, last_stored: float) -> tuple[float, ...]:
         """Compute the stresses of a stored state, if its case wants them.
+
+        Returns
+        -------
+        tuple : the largest (MPa) beside an edge of contact where stress is infinite, its time (s)
+            and the radius (mm) of the edge; () where the largest is elsewhere.
 
         Raises
         ------
@@ -185,37 +204,42 @@ class Stresses:
         """
         case = self._cases[number]
         if case.stress is None or number in self.failures:
-            return
+            return ()
         if not selected(case.stress.times, moment, last_stored):
-            return
+            return ()
         try:
             state = self._of(case).at(case, moment)
         except Exception as error:
             if len(self._cases) == 1:
                 raise
             self.failures[number] = error
-            return
-        self.states[number].append(state.without_fields() if self._points_only else state)
-        self.infinite[number] = infinite_edge(case, state, moment) or self.infinite[number]
+            return ()
+        edge = _infinite_edge(case, state, moment)
+        for name in _FIELDS if self._points_only else ():
+            state.pop(name, None)
+        self.states[number].append(state)
+        return edge
 
-    def history(self, number: int = 0) -> StressHistory | None:
-        """Return the stresses of a history so far, None where its case asks for none."""
-        if self._cases[number].stress is None:
-            return None
-        return self._of(self._cases[number]).history(tuple(self.states[number]))
+    def where(self, number: int) -> dict[str, Any]:
+        """Return where the stresses of a history are, by name; nothing where it has none."""
+        return self._of(self._cases[number]).where if self.states[number] else {}
+
+    def arrays(self, number: int) -> dict[str, Any]:
+        """Return the stresses of a history so far by name, nothing where it has none."""
+        return stacked(self.states[number]) | self.where(number)
 
 
-def infinite_edge(case: Case, stresses: StressState, moment: Moment) -> InfiniteEdge | None:
-    """Return the largest stress of a state if it is beside an edge where it is infinite.
-
-    None where the largest stress is elsewhere. Not collective.
-    """
+def _infinite_edge(case: Case, state: Mapping[str, Any], moment: Moment) -> tuple[float, ...]:
+    """Return the largest stress of a state beside an edge, see ``Stresses``. Not collective."""
     assert case.stress is not None
-    largest, p, line = stresses.of_both, moment.pressure, case.line
+    p, line = moment.pressure, case.line
+    mises = [state[f"max_mises_{body}"] for body in BODIES]
+    body = BODIES[int(np.argmax(np.nan_to_num(mises, nan=-np.inf)))]
+    highest, place_r, place_z = (state[f"max_mises_{body}{end}"] for end in ("", "_r", "_z"))
     for end, further in ((0, 3), (-1, -4)):
         r, reach = line.edges[end], case.stress.exclude * (1.0 + 1e-6) + 3.0 * line.width[end]
-        height = min(abs(largest.z - z) for z in (case.lower.z[1], case.upper.z[0]))
-        beside = np.hypot(largest.r - r, height) <= reach + moment.wear.max()
+        height = min(abs(place_z - z) for z in (case.lower.z[1], case.upper.z[0]))
+        beside = np.hypot(place_r - r, height) <= reach + moment.wear.max()
         if r > 0.0 and beside and p[end] > RISING * p[further]:
-            return InfiniteEdge(largest.mises, moment.time, float(r))
-    return None
+            return highest, moment.time, float(r)
+    return ()

@@ -1,36 +1,33 @@
-"""Doubts about a fit, and what was checked: reasons not to trust its numbers as they are.
+"""What was checked of a fit, and doubts about it: reasons not to trust its numbers as they are.
 
 A doubt of a kind is one sentence, however many tests or series it is about.
 """
 
+import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning, counted
-from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import Experiment, body_of_wear
+from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.fitted_tests import FittedTest
 from ringwear_par.identification.record_checks import trend
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.solution import Solution
 
 #: sd above which readings do not belong to the others; the largest share of such readings
 _FAR, _SHARE = 6.0, 0.1
-#: probabilities below which differences between tests, or blocks of residuals, are not by chance
-_NO_CHANCE, _NO_NOISE = 0.01, 1e-4
+#: p-values below which a model does not fit, tests do not agree, and residuals are no noise
+IMPROBABLE, _NO_CHANCE, _NO_NOISE = 1e-3, 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
 _INFORMED = 1e-6
 #: beginnings of keys of rates: other keys are settings of the machine
 _RATES = ("wear.", "contact.friction")
-#: share of an input: smaller noise is not searched for trends
-_EXACT = 1e-3
 #: time constants of growth below which a record cannot distinguish growth from drift
 _ALIKE = 3.0
 #: groups up to which a scatter depends mostly on its prior
@@ -39,67 +36,152 @@ _FEW = 2
 #: share of histories that fail
 _EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
 
+Entries = Mapping[str, Mapping[str, Any]]
 
-class Finding(NamedTuple):
-    """Something about a series: how bad it is, what it is called, and its test."""
 
-    size: float
+class Check(NamedTuple):
+    """Something that was checked of a fit."""
+
     name: str
-    test: str
+    value: float
+    limit: float
+    passed: bool
+    #: where it was not passed and the table of checks does not tell all
+    doubt: ValidityWarning | None = None
 
 
-def checks(fit: "FitResult") -> list[dict[str, Any]]:
-    """Return what was checked of a fit, the computation first, as fit.json has it."""
-    solution, trends, apart = fit.solution, _trends(fit), _disagreement(fit)
-    less = [
-        ("emulators: sd of the error of log p", solution.emulator_error, _EMULATED),
-        ("time steps halved: sd of the change of log p", solution.step_error, _STEPPED),
-        ("share of histories that failed", solution.failed / max(solution.histories, 1), _FAILED),
-    ]
-    more = [("effective number of draws", solution.effective, _EFFECTIVE)]
-    if fit.p_value is not None:
-        more.append(("chi2: probability of one so large", fit.p_value, 1e-3))
-    if trends:
-        name = "residuals in time: least probability that they are noise"
-        more.append((name, -max(trends).size, _NO_NOISE))
-    if apart is not None:
-        name = f"tests agree on {apart.keys[0]}: probability"
-        more.append((name, apart.values["p"], _NO_CHANCE))
+def of_computation(solution: Solution) -> list[Check]:
+    """Return what tells whether draws are those of the posterior."""
+    emulated, stepped, effective = solution.emulator_error, solution.step_error, solution.effective
+    share, doubt = solution.failed / max(solution.histories, 1), None
+    if share > _FAILED:
+        text = (
+            f"{solution.failed} of {solution.histories} histories failed, and count as "
+            f"improbable: {solution.reason}"
+        )
+        doubt = ValidityWarning("histories-failed", text)
+    off = None
+    if not np.isfinite(stepped):
+        text = (
+            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
+            "narrower bounds or priors would help"
+        )
+        off = ValidityWarning("not-settled", text)
+    step = "time steps halved: sd of the change of log p"
     return [
-        {
-            "name": name,
-            "value": value if np.isfinite(value) else None,
-            "limit": limit,
-            "pass": bool(sign * value < sign * limit),
-        }
-        for sign, found in ((1.0, less), (-1.0, more))
-        for name, value, limit in found
+        Check("emulators: sd of the error of log p", emulated, _EMULATED, emulated < _EMULATED),
+        Check(step, stepped, _STEPPED, stepped < _STEPPED, off),
+        Check("share of histories that failed", share, _FAILED, share < _FAILED, doubt),
+        Check("effective number of draws", effective, _EFFECTIVE, effective > _EFFECTIVE),
     ]
 
 
-def doubts(fit: "FitResult") -> list[ValidityWarning]:
-    """Return the doubts about a fit, those about its keys first."""
-    found = [*_of_keys(fit), *_of_the_model(fit), *_of_records(fit)]
-    if (apart := _disagreement(fit)) is not None and apart.values["p"] < _NO_CHANCE:
-        found.append(apart)
-    found += [*_of_sizes(fit), *_of_draws(fit)]
-    return [*found, *assumptions(fit.problem.experiments)]
+def of_squares(squares: float, freedom: float, p_value: float | None) -> list[Check]:
+    """Return what tells whether the model fits all readings; nothing without a p-value."""
+    if p_value is None:
+        return []
+    text = (
+        f"the model does not fit: chi2 = {squares:.4g} of {freedom:.4g} degrees of "
+        f"freedom (p = {p_value:.1g}); the noise is larger than its sd, or the wear law is "
+        "another"
+    )
+    fits = p_value >= IMPROBABLE
+    doubt = None if fits else ValidityWarning("does-not-fit", text)
+    return [Check("chi2: probability of one so large", p_value, IMPROBABLE, fits, doubt)]
 
 
-def _merged(code: str, found: Sequence[Finding], sentence: str) -> Iterator[ValidityWarning]:
-    """Yield one doubt about all findings, by a sentence with the size of the worst one."""
-    if found:
-        worst, rest = max(found), len(found) - 1
-        more = f" and {counted(rest, 'other')}" * bool(rest)
-        tests = tuple(dict.fromkeys(finding.test for finding in found))
-        values = {finding.name: abs(finding.size) for finding in found}
-        text = f"{worst.name}{more}: {sentence.format(abs(worst.size))}"
-        yield ValidityWarning(code, text, (), tests, values)
+def of_trends(tests: Sequence[FittedTest]) -> list[Check]:
+    """Return what tells whether the residuals of records are noise in time."""
+    found = []
+    for test in tests:
+        for series, part in test.records:
+            values = test.censored[part] == 0.0
+            if not series.profile and values.any():
+                # noise that is given is no smaller than that
+                least = 0.0 if series.sd_fitted else 1.0
+                p = trend(test.residuals[part][values], len(series.nuisances), least)
+                found.append((-p, f"{series.name} ({test.experiment.name})", test.experiment.name))
+    if not found:
+        return []
+    text = (
+        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
+        "and intervals are too narrow"
+    )
+    doubt = _together("residuals-trend", [one for one in found if -one[0] < _NO_NOISE], text)
+    name, least = "residuals in time: least probability that they are noise", -max(found)[0]
+    return [Check(name, least, _NO_NOISE, not doubt, *doubt)]
 
 
-def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
+def of_tests(problem: Problem, entries: Entries, information: FloatArray) -> list[Check]:
+    """Return what tells whether tests agree on the key of a rate on which they agree least.
+
+    Parameters
+    ----------
+    information : (2, tests, m) slopes of log p of each test at the mode, minus its curvatures.
+    """
+    tests, found = problem.experiments, []
+    for parameter, score, a in zip(
+        problem.parameters, *np.moveaxis(information, 2, 1), strict=True
+    ):
+        key = parameter.key
+        informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
+        free = parameter.scatter is None and entries[key]["verdict"] == "identified"
+        if len(informed) < 2 or not free or not key.startswith(_RATES):
+            continue
+        conditions = [tests[i].conditions for i in informed]
+        _, equal = np.unique(conditions, return_inverse=True)
+        of, spread = "equal", heterogeneity(score[informed], a[informed], equal)
+        if spread[-1] >= _NO_CHANCE:
+            of, spread = "different", heterogeneity(score[informed], a[informed], 0 * equal)
+        q, freedom, scatter, p = spread
+        more = ", or another law" * (of == "different")
+        own = float(np.median(a[informed] ** -0.5))
+        unit = "" if parameter.log else unit_of_key(problem, key)
+        sizes = [f"{100 * v:.2g} %" if parameter.log else f"{v:.2g}{unit}" for v in (scatter, own)]
+        text = (
+            f"{key} scatters between tests of {of} conditions by {sizes[0]} (DerSimonian-Laird), "
+            f'but the readings explain only {sizes[1]}: use scatter = "fit"{more}'
+        )
+        values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
+        names = tuple(tests[i].name for i in informed)
+        doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
+        agree = p >= _NO_CHANCE
+        name = f"tests agree on {key}: probability"
+        found.append((q, Check(name, p, _NO_CHANCE, agree, None if agree else doubt)))
+    # one that scatters makes the others look as if they did
+    return [max(found, key=lambda one: one[0])[1]] if found else []
+
+
+def heterogeneity(
+    score: FloatArray, information: FloatArray, group: IntArray
+) -> tuple[float, int, float, float]:
+    """Return Q, its freedom, the scatter of tests within groups, all (tests,), and Q's chance."""
+    s, a, squares = (np.bincount(group, v) for v in (score, information, information**2))
+    q, freedom = float((score**2 / information).sum() - (s**2 / a).sum()), len(score) - len(a)
+    if not freedom:
+        return q, 0, 0.0, 1.0
+    scatter = math.sqrt(max(q - freedom, 0.0) / float((a - squares / a).sum()))
+    return q, freedom, scatter, float(chi2.sf(q, freedom))
+
+
+def _together(
+    code: str, found: Sequence[tuple[float, str, str]], sentence: str
+) -> list[ValidityWarning]:
+    """Return one doubt about all that was found: how bad, what and in which test; none without.
+
+    The sentence has the size of the worst one.
+    """
+    if not found:
+        return []
+    (size, name, _), rest = max(found), len(found) - 1
+    more = f" and {counted(rest, 'other')}" * bool(rest)
+    tests = tuple(dict.fromkeys(test for _, _, test in found))
+    values = {name: abs(size) for size, name, _ in found}
+    return [ValidityWarning(code, f"{name}{more}: {sentence.format(abs(size))}", (), tests, values)]
+
+
+def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
     """Yield doubts about keys that are not identified, or only by the bound of another."""
-    entries = fit.entries
     lost = [key for key, entry in entries.items() if entry["verdict"] == "not identified"]
     for words in dict.fromkeys(entries[key]["direction"] for key in lost):
         keys = tuple(key for key in lost if entries[key]["direction"] == words)
@@ -112,142 +194,9 @@ def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
             yield ValidityWarning("conditional-verdict", text, (key, other))
 
 
-def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about a model that does not fit, all readings or some."""
-    if fit.flagged:
-        text = (
-            f"the model does not fit: chi2 = {fit.chi2:.4g} of {fit.freedom:.4g} degrees of "
-            f"freedom (p = {fit.p_value:.1g}); the noise is larger than its sd, or the wear law is "
-            "another"
-        )
-        yield ValidityWarning("does-not-fit", text)
-    found = []
-    for test in fit.tests:
-        for series, part in test.records:
-            side, far = test.censored[part], np.abs(test.residuals[part])
-            far[side * test.residuals[part] < 0.0] = 0.0  # limits that hold
-            outside = far > _FAR
-            share = float(far[outside] @ far[outside] / max(far @ far, 1e-300))
-            rare = outside.sum() <= max(1, _SHARE * series.n) or share > 0.5
-            if outside.any() and rare and not series.sd_fitted:
-                axis, unit = ("r", "mm") if series.profile else ("time", "s")
-                at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
-                name = f"{series.name} ({test.experiment.name}){at}"
-                found.append(Finding(float(far.max()), name, test.experiment.name))
-    text = (
-        "up to {:.3g} sd off the model: check units, and the side of limits; exclude leaves out an "
-        "edge or a stop"
-    )
-    yield from _merged("outliers", found, text)
-
-
-def _of_records(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about records: trends, growth that may be drift, curves of inputs."""
-    text = (
-        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
-        "and intervals are too narrow"
-    )
-    yield from _merged("residuals-trend", [f for f in _trends(fit) if -f.size < _NO_NOISE], text)
-    alike = []
-    for test in fit.tests:
-        for number, time in test.growth_times.items():
-            series = test.experiment.series[number]
-            lengths = float(series.x.max() / np.median(time))
-            flat = {n.kind for n in series.nuisances if n.prior is None}
-            if {"drift", "thermal"} <= flat and lengths < _ALIKE:
-                name = f"{series.name} ({test.experiment.name})"
-                alike.append(Finding(-lengths, name, test.experiment.name))
-    text = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
-    yield from _merged("drift-or-growth", alike, text)
-    yield from input_trends(fit.problem.experiments)
-
-
-def _trends(fit: "FitResult") -> list[Finding]:
-    """Return how probable, times -1, the residuals of records in time are if they are noise."""
-    found = []
-    for test in fit.tests:
-        for series, part in test.records:
-            values = test.censored[part] == 0.0
-            if not series.profile and values.any():
-                # noise that is given is no smaller than that
-                least = 0.0 if series.sd_fitted else 1.0
-                p = trend(test.residuals[part][values], len(series.nuisances), least)
-                name = f"{series.name} ({test.experiment.name})"
-                found.append(Finding(-p, name, test.experiment.name))
-    return found
-
-
-def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
-    """Return a doubt about measured inputs whose curves do not follow their readings, or none."""
-    found = []
-    for experiment in experiments:
-        for measured in experiment.inputs:
-            time, value = measured.series.x, measured.readings(experiment.case)
-            least = (_EXACT * float(value.mean())) ** 2
-            p = trend(value - measured.curve(experiment.case)(time), least=least)
-            if measured.smooth != "none" and p < _NO_NOISE:
-                name = f"{measured.key} ({experiment.name})"
-                found.append(Finding(-p, name, experiment.name))
-    text = (
-        "readings trend away from their curve (p = {:.1g}), which is too smooth for a jump or a "
-        f'fast change; smooth must be a shorter time, or "none" (at most {MOST_POINTS} readings)'
-    )
-    return [*_merged("input-trend", found, text)]
-
-
-def heterogeneity(
-    score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
-) -> tuple[float, int, float]:
-    """Return Q, its freedom and the scatter within groups of tests, by scores (tests,)."""
-    q, freedom, size = 0.0, 0, 0.0
-    for tests in groups:
-        if len(tests) > 1:
-            s, a = score[[*tests]], information[[*tests]]
-            q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
-            freedom += len(tests) - 1
-            size += float(a.sum() - (a**2).sum() / a.sum())
-    scatter = np.sqrt(max(q - freedom, 0.0) / size) if size > 0.0 else 0.0
-    return q, freedom, float(scatter)
-
-
-def _disagreement(fit: "FitResult") -> ValidityWarning | None:
-    """Return the doubt about the key of a rate that differs most between tests; None: none can.
-
-    Its value p is how probable such differences are by chance.
-    """
-    tests, found = fit.problem.experiments, []
-    for j, parameter in enumerate(fit.problem.parameters):
-        key, (score, a) = parameter.key, fit.information[:, :, j]
-        informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
-        free = parameter.scatter is None and fit.entries[key]["verdict"] == "identified"
-        if len(informed) < 2 or not free or not key.startswith(_RATES):
-            continue
-        equal_tests = defaultdict(list)
-        for i in informed:
-            equal_tests[tests[i].conditions].append(i)
-        of, more = "equal", ""
-        q, freedom, scatter = heterogeneity(score, a, [*equal_tests.values()])
-        if not freedom or chi2.sf(q, freedom) >= _NO_CHANCE:
-            of, more = "different", ", or another law"
-            q, freedom, scatter = heterogeneity(score, a, [informed])
-        own = float(np.median(a[informed] ** -0.5))
-        unit = "" if parameter.log else unit_of_key(fit.problem, key)
-        sizes = [f"{100 * v:.2g} %" if parameter.log else f"{v:.2g}{unit}" for v in (scatter, own)]
-        text = (
-            f"{key} scatters between tests of {of} conditions by {sizes[0]} (DerSimonian-Laird), "
-            f'but the readings explain only {sizes[1]}: use scatter = "fit"{more}'
-        )
-        values = {"q": q, "freedom": freedom, "scatter": scatter,
-                  "p": float(chi2.sf(q, freedom)), "readings": own}  # fmt: skip
-        names = tuple(tests[i].name for i in informed)
-        found.append(ValidityWarning("tests-disagree", text, (key,), names, values))
-    # one that scatters makes the others look as if they did
-    return max(found, key=lambda doubt: doubt.values["q"], default=None)
-
-
-def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
+def of_sizes(entries: Entries, process: Entries) -> Iterator[ValidityWarning]:
     """Yield doubts about sizes of scatter and random wear."""
-    for key, entry in fit.entries.items():
+    for key, entry in entries.items():
         for level, scatter in entry.get("scatter", {}).items():
             if "known" in scatter or scatter["groups"] > _FEW:
                 continue
@@ -259,7 +208,7 @@ def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
             )
             values = {"groups": scatter["groups"], "level": level}
             yield ValidityWarning("few-specimens", text, (key,), (), values)
-    for key, entry in fit.process.items():
+    for key, entry in process.items():
         body = body_of_wear(key)
         if entry["verdict"] != "identified":
             text = f"wear of {body}: intervals hold what was assumed of wear's own noise before"
@@ -274,34 +223,38 @@ def _of_sizes(fit: "FitResult") -> Iterator[ValidityWarning]:
             yield ValidityWarning("coarse-wear", text, (key,))
 
 
-def _of_draws(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield doubts about draws that are not those of the posterior."""
-    solution = fit.solution
-    if solution.weighed:
-        yield ValidityWarning("weighed", solution.weighed)
-    elif not np.isfinite(solution.step_error):
-        text = (
-            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
-            "narrower bounds or priors would help"
-        )
-        yield ValidityWarning("not-settled", text)
-    elif solution.step_error >= _STEPPED:
-        text = f"time steps half as long would change log p by {solution.step_error:.2g} (sd)"
-        yield ValidityWarning("step-dependent", text)
-    if solution.failed > _FAILED * solution.histories:
-        text = (
-            f"{solution.failed} of {solution.histories} histories failed, and count as "
-            f"improbable: {solution.reason}"
-        )
-        yield ValidityWarning("histories-failed", text)
+def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
+    """Return doubts about single readings, and about growth that may be drift."""
+    outliers, alike = [], []
+    for test in tests:
+        for number, (series, part) in enumerate(test.records):
+            residuals, name = test.residuals[part], f"{series.name} ({test.experiment.name})"
+            far = np.where(test.censored[part] * residuals < 0.0, 0.0, np.abs(residuals))
+            out = far[far > _FAR]  # but for limits that hold
+            few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
+            if len(out) and few and not series.sd_fitted:
+                axis, unit = ("r", "mm") if series.profile else ("time", "s")
+                at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
+                outliers.append((float(far.max()), name + at, test.experiment.name))
+            flat = {n.kind for n in series.nuisances if n.prior is None}
+            if number in test.growth_times and {"drift", "thermal"} <= flat:
+                lengths = float(series.x.max() / np.median(test.growth_times[number]))
+                if lengths < _ALIKE:
+                    alike.append((-lengths, name, test.experiment.name))
+    far_off = (
+        "up to {:.3g} sd off the model: check units, and the side of limits; exclude leaves out an "
+        "edge or a stop"
+    )
+    drift = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
+    return _together("outliers", outliers, far_off) + _together("drift-or-growth", alike, drift)
 
 
-def assumptions(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
+def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
     """Return the doubts about units that no name has, or that are likely wrong, one a sentence."""
-    found: dict[str, list[Finding]] = defaultdict(list)
+    found = defaultdict(list)
     for test in experiments:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
             for sentence in series.assumptions + series.suspicions:
-                found[sentence].append(Finding(0.0, f"{series.name} ({test.name})", test.name))
+                found[sentence].append((0.0, f"{series.name} ({test.name})", test.name))
     escaped = {text.replace("{", "{{").replace("}", "}}"): of for text, of in found.items()}
-    return [d for text, of in escaped.items() for d in _merged("assumed-unit", of, text)]
+    return [d for text, of in escaped.items() for d in _together("assumed-unit", of, text)]

@@ -141,8 +141,7 @@ def write_draws(
     Parameters
     ----------
     places : "test", "series" and "at" (s or mm) of each reading, (n,).
-    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n);
-        "log_likelihood_test" (s, tests).
+    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n).
     """
     by_chain = (CHAINS, len(draws) // CHAINS)
     with atomic_hdf5(path) as file:
@@ -181,16 +180,14 @@ def write_draws(
                 put(f"process.wear.{body}", sizes, "mm", "size of the random wear")
         for name, array in readings.items():
             group = file.create_group(name)
-            by_test = name == "log_likelihood_test"
-            word, axis = ("test", "name") if by_test else ("reading", "place")
-            axes = {axis: array.shape[-1]}
             if array.ndim == 1:
-                _axes(group, **axes)
-                write_variable(group, Variable(word, (axis,), "1", "what was read"), array)
+                _axes(group, place=len(array))
+                variable = Variable("reading", ("place",), "1", "what was read")
+                write_variable(group, variable, array)
             else:
-                _axes(group, chain=CHAINS, draw=by_chain[1], **axes)
-                put(word, array, "1", name.replace("_", " "), axis)
-            for place, entries in () if by_test else places.items():
+                _axes(group, chain=CHAINS, draw=by_chain[1], place=array.shape[-1])
+                put("reading", array, "1", name.replace("_", " "), "place")
+            for place, entries in places.items():
                 meaning = f"{place} of the reading"
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
 

@@ -98,14 +98,14 @@ class Emulator:
 
     box: Box
     degree: int
-    #: (p - 1, r) of all terms but the constant
+    #: (p, r)
     coefficients: FloatArray
     #: (n,) and (r, n), in the units of the readings
     mean: FloatArray
     modes: FloatArray
     #: largest rms error of a reading, in its sd
     error: float
-    #: points (P, m) with and without a history, in the box; empty where all have one
+    #: points (P, m) in the box, and whether each has a history
     points: FloatArray
     good: BoolArray
 
@@ -116,13 +116,13 @@ class Emulator:
     def holds(self, x: FloatArray) -> BoolArray:
         """Tell which unknowns (..., m) are in the box, and nearest to one with a history, (...)."""
         inside = self.box.holds(x)
-        if len(self.points) and inside.any():
+        if not self.good.all() and inside.any():
             inside[inside] = self.good[self._nearest.query(self.box.inside(x[inside]))[1]]
         return inside
 
     def coordinates(self, x: FloatArray) -> FloatArray:
         """Return the coordinates (..., r) along the modes at unknowns (..., m)."""
-        return self.box.polynomials(x, self.degree)[..., 1:] @ self.coefficients
+        return self.box.polynomials(x, self.degree) @ self.coefficients
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return readings (..., n) at unknowns (..., m)."""
@@ -156,21 +156,18 @@ def emulate(
     tolerance : rms error of a reading, in its sd, that is good enough.
     """
     good = np.isfinite(readings).all(axis=1)
-    every, left_out = points, readings.copy()
-    points, readings = points[good], readings[good]
+    left_out, y, weights = readings.copy(), readings[good], weights[:, None]
     scale = np.square(weights).sum()
-    mean = np.square(weights) @ readings / scale
-    left, values, modes = np.linalg.svd(
-        weights[:, None] * (readings - mean) / sd, full_matrices=False
-    )
-    least = max(_SMALL_MODE, _SMALL_SHARE * values[0] / np.sqrt(scale)) * np.sqrt(scale)
+    mean = (np.square(weights) * y).sum(axis=0) / scale
+    left, values, modes = np.linalg.svd(weights * (y - mean) / sd, full_matrices=False)
+    least = max(_SMALL_MODE * np.sqrt(scale), _SMALL_SHARE * values[0])
     kept = max(int((values > least).sum()), 1)
     wanted, modes = left[:, :kept] * values[:kept], modes[:kept]
     best: tuple[float, int, FloatArray, FloatArray] | None = None
     for degree in range(1, _MOST_DEGREE + 1):
-        if best is not None and len(orders_of(points.shape[1], degree)) > _MOST_TERMS * len(points):
+        if best is not None and len(orders_of(points.shape[1], degree)) > _MOST_TERMS * len(y):
             break
-        terms = weights[:, None] * box.polynomials(points, degree)
+        terms = weights * box.polynomials(points[good], degree)
         q = np.linalg.qr(terms)[0]
         leverage = np.minimum(np.square(q).sum(axis=1), 1.0 - 1e-3)
         off = (wanted - q @ (q.T @ wanted)) / (1.0 - leverage)[:, None]
@@ -181,13 +178,6 @@ def emulate(
             break
     assert best is not None
     error, degree, terms, off = best
+    left_out[good] = y - off / weights @ modes * sd
     coefficients = np.linalg.lstsq(terms, wanted, rcond=1e-12)[0]
-    left_out[good] = readings - off / weights[:, None] @ modes * sd
-    # the first term is constant; the others make no more modes than there are
-    mean = mean + coefficients[0] @ modes * sd
-    left, values, turned = np.linalg.svd(coefficients[1:], full_matrices=False)
-    kept = max(int((values > _SMALL_MODE).sum()), 1)
-    coefficients, modes = left[:, :kept] * values[:kept], turned[:kept] @ modes
-    lost = every if not good.all() else every[:0]
-    emulator = Emulator(box, degree, coefficients, mean, modes * sd, error, lost, good)
-    return emulator, left_out
+    return Emulator(box, degree, coefficients, mean, modes * sd, error, points, good), left_out

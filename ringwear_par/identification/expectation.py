@@ -1,6 +1,7 @@
 """The dry run of a fit: what its readings would tell if the parameters had their starts."""
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -10,13 +11,11 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, counted, warning_lines
 from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.design.information import information
-from ringwear_par.identification.doubts import assumptions
+from ringwear_par.identification.design.information import before_tests, informations
+from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
-from ringwear_par.identification.likelihood import Setting
 from ringwear_par.identification.record_checks import refuse_unfit
-from ringwear_par.identification.setting import settings_at
 from ringwear_par.identification.summary import KeyRow
 from ringwear_par.results.signals import StopSignals
 
@@ -32,26 +31,15 @@ def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
 def _covariance(readings: Readings) -> FloatArray:
     """Return the covariance (m, m) of the unknowns that readings and priors leave, linear."""
     refuse_unfit(readings)
-    problem, loss = readings.problem, readings.problem.settings.loss
-    start = problem.unknowns([*problem.start.values()])[None]
-    processes = problem.settings.process.values()
-    settings = [Setting.before(test, loss, len(processes)) for test in problem.experiments]
-    expected = np.array([process.expected_share for process in processes])
-    middle = np.tile(start, (len(settings), 1))
-    settings = settings_at(readings, settings, middle, expected, first=True)
-    _, slopes = readings.with_slopes(start)
-    variances = np.array([p.scatter.variance if p.scatter else 0.0 for p in problem.parameters])
-    known = np.diag([prior_sd(p) ** -2 for p in problem.parameters])
-    for test, setting, slope in zip(readings.problem.experiments, settings, slopes, strict=True):
-        if not np.isfinite(slope).all():
-            raise ComputationError(
-                f"{problem.name}: test {test.name}: no history at the start: {readings.reason}"
-            )
-        shares = np.where(np.isnan(setting.shares), expected, setting.shares)
-        every = range(len(test.series))
-        # tests of one specimen too are taken as if of several
-        known += information(test, every, setting, shares, slope, loss, variances)[0]
-    return np.linalg.inv(known)
+    problem = readings.problem
+    start = problem.unknowns([*problem.start.values()])
+    before = replace(before_tests(problem, None), draws=start[None])
+    # tests of one specimen too are taken as if of several
+    every = informations(readings, before)[:, 0]
+    if not np.isfinite(every).all():
+        raise ComputationError(f"{problem.name}: no history at the start: {readings.reason}")
+    priors = np.diag([prior_sd(parameter) ** -2 for parameter in problem.parameters])
+    return np.linalg.inv(priors + every.sum(axis=0))
 
 
 def _in_words(problem: Problem, covariance: FloatArray) -> str:
@@ -62,7 +50,7 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
         f"{problem.name}: {counted(n, 'reading')} in "
         f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
         "their start values (nothing written):",
-        *warning_lines(doubt.text for doubt in assumptions(problem.experiments)),
+        *warning_lines(doubt.text for doubt in of_units(problem.experiments)),
     ]
     width, bounds = max(map(len, problem.keys)), np.array(problem.unknown_bounds)
     for j, parameter in enumerate(problem.parameters):

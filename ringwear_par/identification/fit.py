@@ -47,7 +47,7 @@ def fit(
 
     Returns
     -------
-    FitResult : ``.parameters`` with intervals, ``.doubts``, ``.summary()``, ``.save(folder)``.
+    FitResult : ``.parameters`` as in fit.json, ``.doubts``, ``.summary()``, ``.save(folder)``.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _result(solution: Solution) -> FitResult:
     }  # fmt: skip
     return FitResult(
         problem=problem, solution=solution, draws=draws, process=process_entries(solution),
-        entries=key_entries(
+        parameters=key_entries(
             solution, material, np.maximum(information[1], 1e-300) ** -0.5, material[some],
             nuisances,
         ),

@@ -1,19 +1,51 @@
-"""``ringwear fit``: a fit into a folder."""
+"""``ringwear fit``: a fit into a folder; and what other commands that write one do alike."""
 
 import logging
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mpi4py import MPI
 
-from ringwear_par.files.folders import FIT, check_folder
+from ringwear_par.files.folders import check_folder
 from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.expectation import expectation
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.parallel import on_first_rank, warn_of_threads
+from ringwear_par.results.result import Outcome
 
 log = logging.getLogger(__name__)
+
+
+def into_folder(
+    folder: Path,
+    files: Sequence[str],
+    comm: MPI.Intracomm,
+    compute: Callable[[], Outcome],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write an outcome to a folder, and print its summary. Collective on comm.
+
+    Parameters
+    ----------
+    files : that it has; the first one, which says that it is whole, is announced where there is one
+        and it may not simply be overwritten.
+    compute : returns the outcome; collective.
+    """
+
+    def check() -> None:
+        check_folder(folder, files, "fit")
+        if not overwrite:
+            announce_replacement(folder / files[0])
+
+    on_first_rank(comm, check)
+    result = compute()
+    on_first_rank(comm, lambda: result.save(folder))
+    if comm.rank == 0:
+        print(result.summary())
+        print(closing_line(folder, files))
 
 
 def run_fit(
@@ -32,22 +64,12 @@ def run_fit(
         if comm.rank == 0:
             print(expected)
         return
-
-    def check() -> None:
-        check_folder(folder, fit_folder.FILES, "fit")
-        if not overwrite:
-            announce_replacement(folder / FIT)
-
-    on_first_rank(comm, check)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    result = fit_problem(problem, comm, compare=compare)
-    on_first_rank(comm, lambda: result.save(folder))
-    if comm.rank == 0:
-        print(result.summary())
-        print(closing_line(folder, fit_folder.FILES))
-        if problem.alternatives and not compare:
-            log.info(
-                "laws of [compare] were not fitted: --compare fits %s",
-                ", ".join(problem.alternatives),
-            )
+    into_folder(
+        folder, fit_folder.FILES, comm, lambda: fit_problem(problem, comm, compare=compare),
+        overwrite=overwrite,
+    )  # fmt: skip
+    if comm.rank == 0 and problem.alternatives and not compare:
+        names = ", ".join(problem.alternatives)
+        log.info("laws of [compare] were not fitted: --compare fits %s", names)

@@ -1,103 +1,98 @@
 """The folder of a fit: its outcome, its draws and readings, its figures, each there once whole."""
 
 import re
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.files.folders import (
-    CURVES,
-    ESTIMATES,
-    FIT,
-    POSTERIOR,
-    READINGS,
-    SPECIMENS,
-    json_bytes,
-    new_files,
-    write_contents,
-)
-from ringwear_par.identification.definition.problem import BASE, body_of_wear
-from ringwear_par.identification.draws import write_draws
-from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_tests import log_p_of_tests, readings_of_draws
-from ringwear_par.pictures.style import picture
+from ringwear_par.files import folders
+from ringwear_par.identification.definition.problem import BASE, Problem, Series, body_of_wear
+from ringwear_par.identification.draws import Draws, write_draws
+from ringwear_par.identification.fitted_tests import FittedTest, readings_of_draws
+from ringwear_par.identification.likelihood import EmulatedLikelihood
+from ringwear_par.pictures import fit_panels, key_panels
+from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
+from ringwear_par.pictures.panel import Panel
+from ringwear_par.pictures.style import STYLE, NotebookFigure, picture
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
-FILES = (FIT, READINGS, POSTERIOR, CURVES, ESTIMATES, SPECIMENS)
+FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,
+         folders.SPECIMENS)  # fmt: skip
+#: most columns of series; inches of readings with their residuals, and of a legend above all
+_COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
+#: inches of the strip of single readings: height of a row, margin around them, least width
+_ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
-def save(fit: FitResult, folder: Path) -> None:
-    """Write all files; fit.json, which says that it is whole, the last. On one rank.
+def save(
+    folder: Path,
+    outcome: Mapping[str, Any],
+    problem: Problem,
+    draws: Draws,
+    tests: Sequence[FittedTest],
+    likelihoods: Sequence[EmulatedLikelihood],
+) -> None:
+    """Write all files; fit.json, the outcome, which says that it is whole, the last. On one rank.
 
     A picture that cannot be drawn is left out, with a warning.
     """
-    with new_files(folder, FILES, "fit"):
-        with atomic_hdf5(folder / READINGS) as file:
-            _write(file, fit)
-        readings, places = drawn_readings(fit)
-        write_draws(folder / POSTERIOR, fit.draws, fit.versions, places, readings)
-        figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
-        if not fit.problem.scatters:
-            del figures[SPECIMENS]
-            (folder / SPECIMENS).unlink(missing_ok=True)
-        pictures = {
-            name: partial(picture, draw, str(folder / name)) for name, draw in figures.items()
-        }
-        write_contents(folder, {**pictures, FIT: lambda: json_bytes(fit.to_dict())})
+    drawn: dict[str, Callable[[], Figure]] = {
+        folders.CURVES: lambda: figure_of_readings(tests, outcome["level"]),
+        folders.ESTIMATES: lambda: figure_of_keys(outcome, draws),
+        folders.SPECIMENS: lambda: figure_of_specimens(outcome),
+    }
+    with folders.new_files(folder, FILES, "fit"):
+        with atomic_hdf5(folder / folders.READINGS) as file:
+            file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
+                               **outcome["versions"]})  # fmt: skip
+            _write_readings(file, problem, tests)
+        _write_draws(folder / folders.POSTERIOR, outcome["versions"], draws, tests, likelihoods)
+        if not problem.scatters:
+            del drawn[folders.SPECIMENS]
+            (folder / folders.SPECIMENS).unlink(missing_ok=True)
+        contents = {n: partial(picture, draw, str(folder / n)) for n, draw in drawn.items()}
+        last = {folders.FIT: lambda: folders.json_bytes(outcome)}
+        folders.write_contents(folder, {**contents, **last})
 
 
-def drawn_readings(fit: FitResult) -> tuple[dict[str, FloatArray], dict[str, list[Any]]]:
-    """Return what draws.nc holds of readings, and the test, series and place of each.
-
-    Where keys scatter, "log_likelihood_test" (s, tests) is of all readings of a test, its values
-    integrated out.
-    """
-    random, x = np.random.default_rng(0), fit.draws.tests
-    posterior = fit.solution.posterior
+def _write_draws(
+    path: Path,
+    versions: Mapping[str, str],
+    draws: Draws,
+    tests: Sequence[FittedTest],
+    likelihoods: Sequence[EmulatedLikelihood],
+) -> None:
+    """Write draws.nc, with replicas of the readings of each draw and log likelihoods."""
+    random = np.random.default_rng(0)
     parts = [
-        readings_of_draws(likelihood, x[:, i], random)
-        for i, likelihood in enumerate(posterior.likelihoods)
+        readings_of_draws(likelihood, draws.tests[:, i], random)
+        for i, likelihood in enumerate(likelihoods)
     ]
     logs, replicas = (np.hstack(columns) for columns in zip(*parts, strict=True))
     readings = {
-        "observed_data": np.concatenate([test.data for test in fit.tests]),
+        "observed_data": np.concatenate([test.data for test in tests]),
         "posterior_predictive": replicas, "log_likelihood": logs,
     }  # fmt: skip
     places: dict[str, list[Any]] = {"test": [], "series": [], "at": []}
-    for test in fit.tests:
+    for test in tests:
         for series, _ in test.records:
             places["test"] += [test.experiment.name] * series.n
             places["series"] += [series.name] * series.n
             places["at"] += series.x.tolist()
-    if posterior.scatterings:
-        readings["log_likelihood_test"] = _log_p_of_tests(fit)
-    return readings, places
+    write_draws(path, draws, versions, places, readings)
 
 
-def _log_p_of_tests(fit: FitResult) -> FloatArray:
-    """Return log p (s, tests) of the readings of each test, given the material and its scatter."""
-    draws, problem, depths = fit.draws, fit.problem, fit.solution.depths
-    variances = np.zeros_like(draws.material)
-    for (key, _), sd in draws.scatter.items():
-        variances[:, draws.keys.index(key)] += sd**2
-    bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
-    shares = np.sqrt(draws.process[:, bodies] / depths)
-    return log_p_of_tests(
-        fit.solution.posterior, draws.tests, draws.material, np.sqrt(variances), shares
-    )
-
-
-def _write(file: h5py.File, fit: FitResult) -> None:
-    problem = fit.problem
-    file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
-                       **fit.versions})  # fmt: skip
-    records = [(test, *record) for test in fit.tests for record in test.records]
+def _write_readings(file: h5py.File, problem: Problem, tests: Sequence[FittedTest]) -> None:
+    """Write data, model, bands and residuals of each series, and the measured inputs."""
+    records = [(test, *record) for test in tests for record in test.records]
     for number, (test, series, part) in enumerate(records, start=1):
         group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
         group.attrs.update(
@@ -121,12 +116,14 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         if test.censored[part].any():
             meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
             put("censored", test.censored[part], "1", meaning)
-    for number, (name, key, unit, time, value, curve) in enumerate(fit.input_readings, start=1):
-        group = file.create_group(f"inputs/{number}")
-        group.attrs.update(experiment=name, key=key, unit=unit)
+    inputs = [(test, measured) for test in problem.experiments for measured in test.inputs]
+    for number, (experiment, measured) in enumerate(inputs, start=1):
+        group, time = file.create_group(f"inputs/{number}"), measured.series.x
+        group.attrs.update(experiment=experiment.name, key=measured.key, unit=measured.unit)
+        readings, curve = measured.readings(experiment.case), measured.curve(experiment.case)
         _put(group, "time", time, "s", "time")
-        _put(group, "data", value, unit, "reading, in the unit of the key")
-        _put(group, "curve", curve, unit, "the case's value")
+        _put(group, "data", readings, measured.unit, "reading, in the unit of the key")
+        _put(group, "curve", curve(time), measured.unit, "the case's value")
 
 
 def _put(group: h5py.Group, name: str, values: FloatArray, unit: str, meaning: str) -> None:
@@ -135,3 +132,60 @@ def _put(group: h5py.Group, name: str, values: FloatArray, unit: str, meaning: s
         axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
         write_variable(group, axis, np.arange(len(values)))
     write_variable(group, Variable(name, ("reading",), unit, meaning), values)
+
+
+def figure_of_readings(tests: Sequence[FittedTest], level: float) -> Figure:
+    """Return the figure of data, model, its band at a level, and residuals.
+
+    Series of one reading, such as weighings, share a strip below: a line each.
+    """
+    every = [drawn_series(test, *record, level) for test in tests for record in test.records]
+    curves = [series for series in every if len(series.x) > 1]
+    single = [series for series in every if len(series.x) == 1]
+    across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
+    rows: list[list[Panel]] = []
+    for first in range(0, len(curves), across):
+        beside = curves[first : first + across]
+        rows += [[*map(fit_panels.readings, beside)], [*map(fit_panels.residuals, beside)]]
+    # two parts: labels of the strip make no panel above it narrower
+    parts = [(rows, 0.5 * _HEIGHT * len(rows))] if rows else []
+    if single:
+        strip = [[fit_panels.single_readings(single)]]
+        parts.append((strip, _MARGIN + _ROW * len(single)))
+    heights = [height + _LEGEND * (not number) for number, (_, height) in enumerate(parts)]
+    with matplotlib.rc_context(STYLE):
+        size = max(_WIDTH * across, _NARROWEST), sum(heights)
+        chart = NotebookFigure(figsize=size, layout="constrained")
+        places = chart.subfigures(len(parts), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for place, (panels, _) in zip(places, parts, strict=True):
+            shares = [5, 2] * (len(panels) // 2)
+            panel_grid(place, panels, shares, legend=place is places[0])
+        add_letters(chart)
+    return chart
+
+
+def drawn_series(test: FittedTest, series: Series, part: slice, level: float) -> fit_panels.Series:
+    """Return a series with its model, in the unit of its readings."""
+    scale = 1.0 / series.factor
+    return fit_panels.Series(
+        test.experiment.name, series.name, series.quantity, series.unit, series.x,
+        scale * series.value, scale * test.model[part], scale * test.sd[part],
+        scale * test.band[part], test.residuals[part], level,
+        test.experiment.case.contact, test.censored[part].astype(int),
+    )  # fmt: skip
+
+
+def figure_of_keys(outcome: Mapping[str, Any], draws: Draws) -> Figure:
+    """Return the draws of each key, and of pairs."""
+    by_key = dict(zip(draws.keys, draws.values(draws.material).T, strict=True))
+    rows = key_panels.fitted_keys(outcome, by_key)
+    return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
+
+
+def figure_of_specimens(outcome: Mapping[str, Any]) -> Figure:
+    """Return the values of specimens and material of each key that scatters."""
+    scattering = {k: entry for k, entry in outcome["parameters"].items() if "each" in entry}
+    widest = max(len(entry["each"]) for entry in scattering.values())
+    size = max(_NARROWEST, 0.7 * min(widest, 16)), _LEGEND + _HEIGHT * len(scattering)
+    panels = [[key_panels.specimens(k, entry, outcome["level"])] for k, entry in scattering.items()]
+    return panel_figure(panels, size)

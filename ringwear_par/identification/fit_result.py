@@ -1,28 +1,25 @@
 """The result of a fit: estimates with intervals, goodness of fit, what remains open."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
+from ringwear_par.identification import doubts, fit_folder
 from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.doubts import IMPROBABLE, Check
 from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.fitted_tests import FittedTest
-from ringwear_par.identification.key_estimates import ParameterEstimate
 from ringwear_par.identification.solution import Solution
+from ringwear_par.identification.summary import summary
 from ringwear_par.results.result import Outcome
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-#: p-value below which a model does not fit
-IMPROBABLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,7 +31,7 @@ class FitResult(Outcome):
     problem : with friction as torques tell it.
     solution : draws by the sampler, with the emulators.
     draws : of what the fit knows, in the order of chains.
-    entries, process : of the fitted keys and of random wear, as fit.json has them.
+    parameters, process : of the fitted keys and of random wear, as fit.json has them.
     tests : at the mode and among the draws.
     information : (2, tests, m) slopes of log p of each test at the mode, and minus its curvatures.
     versions : of the software.
@@ -45,7 +42,7 @@ class FitResult(Outcome):
     problem: Problem
     solution: Solution
     draws: Draws
-    entries: Mapping[str, dict[str, Any]]
+    parameters: Mapping[str, dict[str, Any]]
     process: Mapping[str, dict[str, Any]]
     tests: tuple[FittedTest, ...]
     information: FloatArray
@@ -54,24 +51,9 @@ class FitResult(Outcome):
     failed: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        estimates = ", ".join(f"{p.key} = {p.estimate:.3g} ({p.verdict})" for p in self.parameters)
-        return f"<FitResult: {estimates}; chi2 = {self.chi2:.4g} of {self.n} readings>"
-
-    @property
-    def parameters(self) -> tuple[ParameterEstimate, ...]:
-        """The fitted keys; of the material where they scatter."""
-        return tuple(
-            ParameterEstimate(
-                key, entry["estimate"], entry["sd"], tuple(entry["interval"]), entry["verdict"],
-                entry.get("direction", ""),
-            )
-            for key, entry in self.entries.items()
-        )  # fmt: skip
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(m, m) of the fitted keys' values."""
-        return np.atleast_2d(np.cov(self.draws.values(self.draws.material).T))
+        keys = self.parameters.items()
+        estimates = (f"{key} = {e['estimate']:.3g} ({e['verdict']})" for key, e in keys)
+        return f"<FitResult: {', '.join(estimates)}; chi2 = {self.chi2:.4g} of {self.n} readings>"
 
     @property
     def n(self) -> int:
@@ -128,104 +110,120 @@ class FitResult(Outcome):
         return 2.0 * posterior.dimension - 2.0 * log_p
 
     @cached_property
+    def checks(self) -> tuple[Check, ...]:
+        """What was checked, the computation first."""
+        return (
+            *doubts.of_computation(self.solution),
+            *doubts.of_squares(self.chi2, self.freedom, self.p_value),
+            *doubts.of_trends(self.tests),
+            *doubts.of_tests(self.problem, self.parameters, self.information),
+        )
+
+    @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
         """What speaks against taking the numbers as they are."""
-        from ringwear_par.identification.doubts import doubts
-
-        return tuple(doubts(self))
-
-    @property
-    def experiments(self) -> dict[str, dict[str, Any]]:
-        """Sum of squares and number of readings of each series, by experiment."""
-        experiments: dict[str, dict[str, Any]] = {}
-        for test in self.tests:
-            of_test = experiments.setdefault(test.experiment.name, {})
-            for series, part in test.records:
-                values = test.residuals[part][test.censored[part] == 0.0]
-                entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
-                if len(values) < series.n:
-                    entry["censored"] = series.n - len(values)
-                if series.sd_fitted:
-                    entry["sd"] = float(test.sd[part][0]) / series.factor
-                of_test[series.name] = entry
-        return experiments
-
-    @property
-    def nuisances(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Mean and sd of each nuisance, by experiment and series, in the data's unit.
-
-        That of thermal growth has the ``time`` constant's, s, and tells where it is with ``power``.
-        """
-        nuisances: dict[str, Any] = {}
-        for test in self.tests:
-            for number, series in enumerate(test.experiment.series):
-                for nuisance in series.nuisances:
-                    if (number, nuisance.kind) not in test.nuisances:
-                        continue
-                    entry = mean_and_sd(test.nuisances[number, nuisance.kind])
-                    if nuisance.kind == "thermal":
-                        entry["time"] = mean_and_sd(test.growth_times[number])
-                    entry |= {"power": True} if nuisance.power else {}
-                    of_test = nuisances.setdefault(test.experiment.name, {})
-                    of_test.setdefault(series.name, {})[nuisance.kind] = entry
-        return nuisances
-
-    @property
-    def input_readings(self) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
-        """Test, key, unit, times (s) and readings of each input, and the curve there."""
-        return [
-            (experiment.name, measured.key, measured.unit, measured.series.x,
-             measured.readings(experiment.case), measured.curve(experiment.case)(measured.series.x))
-            for experiment in self.problem.experiments
-            for measured in experiment.inputs
-        ]  # fmt: skip
+        return (
+            *doubts.of_keys(self.parameters),
+            *(check.doubt for check in self.checks if check.doubt is not None),
+            *doubts.of_readings(self.tests),
+            *doubts.of_sizes(self.parameters, self.process),
+            *doubts.of_units(self.problem.experiments),
+        )
 
     def summary(self) -> str:
         """Return it in a few lines, as the command prints it."""
-        from ringwear_par.identification.summary import summary
-
-        return summary(self)
+        return summary(self.problem.name, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of fit.json."""
-        from ringwear_par.identification.fit_numbers import to_dict
-
-        return to_dict(self)
+        problem, solution = self.problem, self.solution
+        alternatives: dict[str, Any] = {n: law.to_dict() for n, law in self.alternatives.items()}
+        for law in alternatives.values():
+            del law["alternatives"], law["data"]
+        return {
+            "parameters": {key: dict(entry) for key, entry in self.parameters.items()},
+            "keys": [*problem.keys],
+            "covariance": np.atleast_2d(np.cov(self.draws.values(self.draws.material).T)).tolist(),
+            "level": problem.settings.level,
+            "chi2": self.chi2,
+            "n_data": self.n,
+            "degrees_of_freedom": self.freedom,
+            "p_value": self.p_value,
+            "flagged": self.flagged,
+            "aic": self.aic,
+            "evidence": solution.log_evidence,
+            "evidence_error": solution.evidence_error,
+            "specimens": len({test.groups[0] for test in problem.experiments}),
+            "process": {key: dict(entry) for key, entry in self.process.items()},
+            **_numbers_of_tests(self.tests),
+            "histories": solution.histories,
+            "failed_histories": solution.failed,
+            "steps": solution.steps,
+            "draws": {"effective": solution.effective, "stored": len(self.draws)},
+            "checks": [
+                {"name": name, "value": value if np.isfinite(value) else None, "limit": limit,
+                 "pass": passed}
+                for name, value, limit, passed, _ in self.checks
+            ],
+            "doubts": [doubt.to_dict() for doubt in self.doubts],
+            "warnings": [doubt.text for doubt in self.doubts],
+            "alternatives": alternatives | {n: {"error": why} for n, why in self.failed.items()},
+            "loss": problem.settings.loss,
+            "versions": dict(self.versions),
+            "data": dict(problem.hashes),
+        }  # fmt: skip
 
     def save(self, path: str | Path) -> None:
         """Write the files of its folder, see ``Outcome.save``."""
-        from ringwear_par.identification.fit_folder import save
+        likelihoods, outcome = self.solution.posterior.likelihoods, self.to_dict()
+        fit_folder.save(Path(path), outcome, self.problem, self.draws, self.tests, likelihoods)
 
-        save(self, Path(path))
-
-    def plot(self) -> "Figure":
+    def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
-        from ringwear_par.identification.figures import plot
-
-        return plot(self)
-
-    def plot_parameters(self) -> "Figure":
-        """Return the figure of the fitted keys: draws of each, and of pairs."""
-        from ringwear_par.pictures import key_panels
-        from ringwear_par.pictures.matplotlib import panel_figure
-
-        by_key = dict(zip(self.draws.keys, self.draws.values(self.draws.material).T, strict=True))
-        rows = key_panels.fitted_keys(self.to_dict(), by_key)
-        return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
-
-    def plot_specimens(self) -> "Figure":
-        """Return the figure of the specimens: each one's value, the material's, the next one's.
-
-        Raises
-        ------
-        InputError : a fit without scatter.
-        """
-        from ringwear_par.identification.figures import plot_specimens
-
-        return plot_specimens(self)
+        return fit_folder.figure_of_readings(self.tests, self.problem.settings.level)
 
 
-def mean_and_sd(draws: FloatArray) -> dict[str, Any]:
+def _numbers_of_tests(tests: Sequence[FittedTest]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the numbers of series, their nuisances and measured inputs, by test.
+
+    Nuisances are in the data's unit; that of thermal growth has the ``time`` constant's, s. The
+    curve of an input is at ``time``, s; the scatter about it is a relative standard deviation.
+    """
+    experiments, nuisance, inputs = (dict[str, dict[str, Any]]() for _ in range(3))
+    for test in tests:
+        name, case, scaled = test.experiment.name, test.experiment.case, 0
+        of_series = experiments[name] = {}
+        for number, (series, part) in enumerate(test.records):
+            values = test.residuals[part][test.censored[part] == 0.0]
+            entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
+            if len(values) < series.n:
+                entry["censored"] = series.n - len(values)
+            if series.sd_fitted:
+                entry["sd"] = float(test.sd[part][0]) / series.factor
+            of_series[series.name], found = entry, {}
+            for kind, power in ((n.kind, n.power) for n in series.nuisances):
+                if (number, kind) in test.nuisances:
+                    found[kind] = _mean_and_sd(test.nuisances[number, kind])
+                    if kind == "thermal":
+                        found[kind]["time"] = _mean_and_sd(test.growth_times[number])
+                    found[kind] |= {"power": True} if power else {}
+            if found:
+                nuisance.setdefault(name, {})[series.name] = found
+        for measured in test.experiment.inputs:
+            curve, readings = measured.curve(case), measured.readings(case)
+            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+            entry = {
+                "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+            }  # fmt: skip
+            if measured.scale is not None:
+                (mean, sd), drawn = measured.scale, test.nuisances[-1, str(scaled)]
+                scaled, entry["scale"] = scaled + 1, _mean_and_sd(mean + sd * drawn)
+            inputs.setdefault(name, {})[measured.key] = entry
+    return {"experiments": experiments, "nuisance": nuisance, "inputs": inputs}
+
+
+def _mean_and_sd(draws: FloatArray) -> dict[str, Any]:
     """Return the mean of draws (s,) and their sd; None where readings do not change them."""
     sd = float(draws.std())
     return {"estimate": float(draws.mean()), "sd": sd if sd > 0.0 else None}

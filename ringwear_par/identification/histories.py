@@ -11,8 +11,7 @@ import pickle
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing
-from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -30,11 +29,15 @@ from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.result import Result
 from ringwear_par.results.signals import StopSignals, name_of
-from ringwear_par.schedules import Table, in_time
 from ringwear_par.studies.together import computed
 from ringwear_par.studies.variations import split_key
 
 T = TypeVar("T")
+#: test and values of its keys
+Entry = tuple[int, tuple[float, ...]]
+#: the tests, and of which histories are wanted, number of steps, factors on rates
+Request = tuple[tuple[Experiment, ...], list[Entry], int, tuple[float, float]]
+Row = FloatArray | ComputationError
 #: number of steps of a test with constant conditions
 STEPS = 40
 #: factor on the number of steps, equal ones, where layers may be worn through
@@ -48,8 +51,6 @@ _MANY = 100
 _FIRST, _SHORT = 2e-4, 1e-2
 #: share of the test below which the distance of two times counts as none
 _CLOSE = 1e-7
-#: most operators of points that are remembered
-_MOST_PAIRS = 512
 #: share of its bounds by which a key is moved for a derivative
 _DIFFERENCE = 1e-4
 
@@ -71,28 +72,29 @@ class Readings:
     """
 
     def __init__(self, problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> None:
-        self.problem = self._served = problem
+        self.problem, self._keys = problem, problem.keys
         self._comm, self._signals = comm, signals
         self._progress: Progress | None = None
         #: number of steps, see ``step_times``
         self.steps = STEPS
         #: histories computed, those that failed, and why the first one did
         self.count, self.failed, self.reason = 0, 0, ""
-        #: of the tests, and of the last points where each value has an operator of its own
+        #: operators of the tests, and those of the values of the last block
+        self._kept: dict[Hashable, ContactPair] = {}
         self._pairs: dict[Hashable, ContactPair] = {}
         with together(comm):
             for test in problem.experiments:
                 key = operator_key(test.case)
-                if not is_elastic(test.case, problem.keys) and key not in self._pairs:
-                    self._pairs[key] = assemble(test.case, comm)
-        self._kept = {*self._pairs}
+                if not is_elastic(test.case, problem.keys) and key not in self._kept:
+                    self._kept[key] = assemble(test.case, comm)
 
     @property
     def same_as(self) -> list[int]:
         """The first test with the same conditions and readings, for each test: these share."""
-        tests = self.problem.experiments
+        first: dict[Hashable, int] = {}
         return [
-            next(j for j in range(i + 1) if _alike(tests[j], tests[i])) for i in range(len(tests))
+            first.setdefault(_conditions(test, number), number)
+            for number, test in enumerate(self.problem.experiments)
         ]
 
     def lead(self, job: Callable[[], T]) -> T:
@@ -140,111 +142,92 @@ class Readings:
         """
         problem, same_as = self.problem, self.same_as
         at = [
-            (same_as[test], tuple(problem.values(x).tolist()))
+            [(same_as[test], tuple(problem.values(x).tolist())) for x in points]
             for test, points in wanted
-            for x in points
         ]
         # equal bodies together, whose operator is then assembled once
-        entries = sorted(dict.fromkeys(at), key=lambda entry: (entry[1], entry[0]))
-        changed = None if problem is self._served else problem.experiments
-        request = (changed, entries, steps or self.steps, factors)
+        entries = sorted({*itertools.chain(*at)}, key=lambda entry: (entry[1], entry[0]))
+        request: Request = (problem.experiments, entries, steps or self.steps, factors)
         if self._comm.size > 1:
             self._comm.bcast(request)
-        self._served = problem
-        rows = [row for part in self._share(request) for row in part]
-        found = dict(zip(entries, rows, strict=True))
-        self.count += len(entries)
-        for row in rows:
-            if isinstance(row, HistoryError):
-                self.failed, self.reason = self.failed + 1, self.reason or reason_of(row)
-        out, keys = [], iter(at)
-        for test, points in wanted:
-            block = np.full((len(points), problem.experiments[test].n), np.nan)
-            for line in block:
-                row = found[next(keys)]
-                if not isinstance(row, HistoryError):
+        found = dict(zip(entries, self._share(request), strict=True))
+        failures = [row for row in found.values() if isinstance(row, ComputationError)]
+        self.count, self.failed = self.count + len(found), self.failed + len(failures)
+        self.reason = self.reason or next(map(reason_of, failures), "")
+        blocks = []
+        for (test, _), places in zip(wanted, at, strict=True):
+            blocks.append(np.full((len(places), problem.experiments[test].n), np.nan))
+            for line, entry in zip(blocks[-1], places, strict=True):
+                row = found[entry]
+                if not isinstance(row, ComputationError):
                     line[:] = row
-            out.append(block)
-        return out
+        return blocks
 
-    def _share(self, request: tuple[Any, ...]) -> list[list[FloatArray | HistoryError]]:
+    def _share(self, request: Request) -> list[Row]:
         """Return the rows of all ranks on the first one, each of which computes a part. Collective.
 
         Errors are raised on the first rank; the others go on to serve, as that ends the job.
         """
-        experiments, entries, steps, factors = request
-        if experiments is not None:
-            self._served = replace(self._served, experiments=experiments)
-        comm, rows, error = self._comm, [], None
+        comm, entries, rows, error = self._comm, request[1], [], None
         ends = np.linspace(0, len(entries), comm.size + 1).astype(int)
-        if not self._signals.received:
+        mine = entries[ends[comm.rank] : ends[comm.rank + 1]]
+        if mine and not self._signals.received:
             try:
-                mine = entries[ends[comm.rank] : ends[comm.rank + 1]]
-                rows = self._computed(self._served, mine, steps, factors) if mine else []
+                rows = self._computed(mine, *request)
             except Exception as failure:
                 if comm.size == 1:
                     raise
                 error = as_ours(failure)
-        gathered = comm.gather((rows, self._signals.received, error))
-        if gathered is None:
-            return []
-        if received := max(number for _, number, _ in gathered):
+        gathered = comm.gather((rows, self._signals.received, error)) or []
+        if received := max((number for _, number, _ in gathered), default=0):
             raise StoppedError(f"stopped by {name_of(received)}")
         for _, _, failed in gathered:
             if failed is not None:
                 raise failed
-        return [part for part, _, _ in gathered]
+        return [row for part, _, _ in gathered for row in part]
 
     def _computed(
         self,
-        problem: Problem,
-        entries: Sequence[tuple[int, tuple[float, ...]]],
+        entries: Sequence[Entry],
+        experiments: Sequence[Experiment],
+        _: Sequence[Entry],
         steps: int,
         factors: tuple[float, float],
-    ) -> list[FloatArray | HistoryError]:
+    ) -> list[Row]:
         """Return the readings at each (test, values of the keys), by this rank alone."""
-        rows: dict[int, FloatArray | HistoryError] = {}
-        cases: dict[int, Case] = {}
-        tests = {test: problem.experiments[test] for test, _ in entries}
+        tests = {test: experiments[test] for test, _ in entries}
+        readers = {test: Reader(experiment) for test, experiment in tests.items()}
+        grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
+        rows: dict[int, Row] = {}
+        before, self._pairs = self._pairs, {**self._kept}
+        groups: dict[Hashable, list[tuple[int, Case]]] = defaultdict(list)
         for test, experiment in tests.items():
             numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
             points = np.array([entries[i][1] for i in numbers])
-            for i, case in zip(
-                numbers, cases_at(experiment.case, problem.keys, points), strict=True
-            ):
-                if isinstance(case, HistoryError):
-                    rows[i] = case
-                else:
-                    cases[i] = case
-        pairs = self._pairs
-        while len(pairs) > _MOST_PAIRS:  # the oldest ones that are of a point
-            del pairs[next(key for key in pairs if key not in self._kept)]
-        groups: dict[Hashable, list[int]] = defaultdict(list)
-        for i, case in cases.items():
-            key = operator_key(case)
-            try:
-                if key not in pairs:
-                    pairs[key] = assemble(case, MPI.COMM_SELF)
-                groups[operator_key(tests[entries[i][0]].case)].append(i)
-            except ComputationError as error:
-                rows[i] = HistoryError(reason_of(error))
-        readers = {test: Reader(experiment) for test, experiment in tests.items()}
-        grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
-        paces = {
-            test: np.repeat(np.array([factors]).T, len(g), axis=1) for test, g in grids.items()
-        }
-        for numbers in groups.values():
-            owners = [entries[i][0] for i in numbers]
-            parts = computed(
-                [cases[i] for i in numbers], [pairs[operator_key(cases[i])] for i in numbers],
-                results=True, step_times=[grids[test].tolist() for test in owners],
-                paces=None if factors == (1.0, 1.0) else [paces[test] for test in owners],
-            )  # fmt: skip
-            for part in parts:
+            cases = cases_at(experiment.case, self._keys, points)
+            for i, case in zip(numbers, cases, strict=True):
+                try:
+                    if isinstance(case, HistoryError):
+                        raise case
+                    key = operator_key(case)
+                    if key not in self._pairs:
+                        self._pairs[key] = before.get(key) or assemble(case, MPI.COMM_SELF)
+                    groups[operator_key(experiment.case)].append((i, case))
+                except ComputationError as error:
+                    rows[i] = error
+        for group in groups.values():
+            owners = [entries[i][0] for i, _ in group]
+            pairs = [self._pairs[operator_key(case)] for _, case in group]
+            paces = [np.repeat(np.array([factors]).T, len(grids[o]), axis=1) for o in owners]
+            for part in computed(
+                [case for _, case in group], pairs, results=True,
+                step_times=[grids[test].tolist() for test in owners],
+                paces=None if factors == (1.0, 1.0) else paces,
+            ):  # fmt: skip
                 for place, result in zip(part.numbers, part.results(), strict=True):
-                    i = numbers[place]
+                    i, case = group[place]
                     if isinstance(result, Result):
-                        rows[i] = readers[entries[i][0]].read(trajectory(result, cases[i]))
+                        rows[i] = readers[owners[place]].read(trajectory(result, case))
                     else:
                         rows[i] = HistoryError(reason_of(result))
         return [rows[i] for i in range(len(entries))]
@@ -266,55 +249,12 @@ class Readings:
         slopes = [np.moveaxis((y[:, 1:] - y[:, :1]) / step[..., None], 2, 0) for y in rows]
         return [y[:, 0] for y in rows], slopes
 
-    def history(self, test: int, unknowns: FloatArray) -> Result:
-        """Return the history of a test at unknowns (m,), or raise HistoryError. By this rank."""
-        experiment, values = self.problem.experiments[test], self.problem.values(unknowns)[None]
-        (case,) = cases_at(experiment.case, self.problem.keys, values)
-        if isinstance(case, HistoryError):
-            raise case
-        pair = self._pairs.get(operator_key(case)) or assemble(case, MPI.COMM_SELF)
-        steps = [step_times(experiment, self.steps).tolist()]
-        (part,) = computed([case], [pair], results=True, step_times=steps)
-        (result,) = part.results()
-        if not isinstance(result, Result):
-            raise HistoryError(reason_of(result))
-        self.count += 1
-        return result
 
-    def with_friction_at(self, unknowns: FloatArray) -> Problem:
-        """Return the problem, friction as its torques tell it at unknowns (tests, m).
-
-        By the radius at which friction acts in the histories there; HistoryError for none. By this
-        rank alone.
-        """
-        experiments = list(self.problem.experiments)
-        for number, test in enumerate(experiments):
-            if test.torque_input is None:
-                continue
-            result, friction = self.history(number, unknowns[number]), test.case.friction
-            time, force, torque = (result.histories[n] for n in ("time", "force", "torque"))
-            pressed = force > 0.0
-            at = time[pressed]
-            radius = torque[pressed] / (in_time(friction, at) * force[pressed])
-            experiments[number] = test.with_radius(
-                Table(tuple(at.tolist()), tuple(radius.tolist()))
-            )
-        return replace(self.problem, experiments=tuple(experiments))
-
-
-def _alike(a: Experiment, b: Experiment) -> bool:
-    """Tell whether two tests have the same readings at the same values of the keys."""
-    if a is b:
-        return True
-    if a.conditions != b.conditions or a.inputs or b.inputs or len(a.series) != len(b.series):
-        return False
-    return all(
-        s.quantity == t.quantity
-        and s.at == t.at
-        and s.density == t.density
-        and np.array_equal(s.x, t.x)
-        for s, t in zip(a.series, b.series, strict=True)
-    )
+def _conditions(test: Experiment, number: int) -> Hashable:
+    """Return what is the same for tests of the same readings at the same values of the keys."""
+    if test.inputs:
+        return number
+    return test.conditions, *((s.quantity, s.at, s.density, s.x.tobytes()) for s in test.series)
 
 
 def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:

@@ -1,8 +1,6 @@
 """What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -14,10 +12,8 @@ from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
     Problem,
-    records,
     reflected,
 )
-from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.users_units import in_users_unit, specific_wear_rate
@@ -39,22 +35,6 @@ _MENTIONED = 0.15
 _TOGETHER = 0.9
 #: half width, relative, of the interval of the material that specimens are counted for; most
 _WANTED, _MOST_SPECIMENS = 0.1, 10_000
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """A fitted key."""
-
-    key: str
-    #: in the case's unit: median and standard deviation of the draws
-    estimate: float
-    sd: float
-    #: None on a side that is not limited
-    interval: tuple[float | None, float | None]
-    #: whether the readings determine it
-    verdict: Verdict
-    #: what they determine instead, "" where they determine the key
-    direction: str = ""
 
 
 def judged(
@@ -110,13 +90,13 @@ def key_entries(
     problem, posterior = solution.problem, solution.posterior
     level, units, entries = problem.settings.level, units_of(problem), {}
     scatterings = {s.key: s for s in posterior.scatterings}
+    values = np.where([p.log for p in problem.parameters], np.exp(material), material)
     for j, parameter in enumerate(problem.parameters):
         low, high = map(parameter.unknown, parameter.bounds)
         verdict, ends = judged(material[:, j], low, high, prior_sd(parameter), level)
-        values = np.exp(material[:, j]) if parameter.log else material[:, j]
         entry = entries[parameter.key] = {
             "estimate": parameter.value(float(np.median(material[:, j]))),
-            "sd": float(values.std()),
+            "sd": float(values[:, j].std()),
             "interval": [None if end is None else parameter.value(end) for end in ends],
             "verdict": verdict,
             "bounds": list(parameter.bounds),
@@ -131,17 +111,16 @@ def key_entries(
         if j in scatterings:
             own = float(np.median(own_sds[:, j]))
             entry.update(_scatter(solution, scatterings[j], parameter, material[:, j], own))
-    values = np.where([p.log for p in problem.parameters], np.exp(material), material)
     tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
     for row, parameter in zip(tied, problem.parameters, strict=True):
-        entry, case = entries[parameter.key], problem.experiments[0].case
+        entry = entries[parameter.key]
         others = [key for key, known_by in zip(problem.keys, row, strict=True) if known_by]
         bounded = [key for key in others if entries[key]["verdict"] == "at bound"]
         if entry["verdict"] == "identified" and bounded:
             entry["conditional_on"] = bounded
-        if (told := in_users_unit(parameter, entry, case)) is not None:
+        if told := in_users_unit(parameter, entry, problem.experiments[0].case):
             entry["told"] = told
-        if (rate := specific_wear_rate(problem, parameter.key, entries, values)) is not None:
+        if rate := specific_wear_rate(problem, parameter.key, entries, values):
             entry["specific_wear_rate"] = rate
     return entries
 
@@ -151,37 +130,43 @@ def _scatter(
 ) -> dict[str, Any]:
     """Return what fit.json tells of a key that scatters, by the unknown of the material (s,)."""
     theta, problem = solution.theta, solution.problem
-    tests, level = problem.experiments, problem.settings.level
+    level, spread = problem.settings.level, s.spread(theta)
     assert parameter.scatter is not None
-    sizes = {name: s.size(theta, number) for number, name in enumerate(s.levels)}
     scatter: dict[str, dict[str, Any]] = {}
-    for number, (name, size) in enumerate(sizes.items()):
-        if s.sizes[number] is None:
-            scatter[name] = {"known": s.known[number]}
-        else:
+    for number, name in enumerate(s.levels):
+        size = s.size(theta, number)
+        scatter[name] = {"known": s.known[number]}
+        if s.sizes[number] is not None:
             verdict, _ = judged(size, 0.0, np.inf, parameter.scatter.scale, level)
             scatter[name] = {**_quantiles(size, level), "verdict": verdict}
         scatter[name]["groups"] = int(np.unique(s.same[number], axis=0).shape[0])
-    spread = s.spread(theta)
     following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
     bounds = map(np.array, map(parameter.unknown, parameter.bounds))
-    following = _quantiles(reflected(following, *bounds), level, parameter)["interval"]
-    entry: dict[str, Any] = {"of": "material", "scatter": scatter, "next": following, "each": {}}
+    following = reflected(following, *bounds)
+    entry: dict[str, Any] = {
+        "of": "material", "scatter": scatter,
+        "next": _quantiles(following, level, parameter)["interval"],
+        "each": {},
+    }  # fmt: skip
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
     total = float(np.median(spread))
-    if "specimen" in sizes:
-        s_r = float(np.median(sizes["specimen"]))
+    if "specimen" in s.levels:
+        s_r = float(np.median(s.size(theta, s.levels.index("specimen"))))
         entry["repeatability"] = {"s_r": s_r, "r": 2.8 * s_r}
-    if len(sizes) > ("specimen" in sizes):
+    if {*s.levels} != {"specimen"}:
         entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
     place = min(map(GROUPS.index, s.levels))
-    for number, values in enumerate(theta[:, s.places].T):
-        name = tests[int(np.argmax(s.group == number))].groups[place]
-        sd = float((np.exp(values) if parameter.log else values).std())
-        entry["each"][name] = {**_quantiles(values, level, parameter), "sd": sd}
+    for number, unknown in enumerate(theta[:, s.places].T):
+        name = problem.experiments[int(np.argmax(s.group == number))].groups[place]
+        sd = float((np.exp(unknown) if parameter.log else unknown).std())
+        entry["each"][name] = {**_quantiles(unknown, level, parameter), "sd": sd}
+    # the smallest number whose interval is narrow enough, by Student's t
     wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
-    entry["specimens_for_10_percent"] = _specimens(wanted, math.hypot(total, own), level)
+    n = np.arange(2, _MOST_SPECIMENS)
+    reach = student_t.ppf(0.5 + 0.5 * level, n - 1) / np.sqrt(n)
+    enough = reach * math.hypot(total, own) <= wanted
+    entry["specimens_for_10_percent"] = int(n[enough.argmax()]) if enough.any() else None
     return entry
 
 
@@ -195,26 +180,20 @@ def _quantiles(
     return {"estimate": median, "interval": [low, high]}
 
 
-def _specimens(wanted: float, sd: float, level: float) -> int | None:
-    """Return how many specimens make the half width of the material's interval small enough."""
-    n = np.arange(2, _MOST_SPECIMENS)
-    enough = student_t.ppf(0.5 + 0.5 * level, n - 1) * sd / np.sqrt(n) <= wanted
-    return int(n[enough.argmax()]) if enough.any() else None
-
-
 def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each body whose wear is random."""
-    entries, posterior = {}, solution.posterior
-    level = solution.problem.settings.level
+    problem, posterior, entries = solution.problem, solution.posterior, {}
+    level, depths = problem.settings.level, solution.depths.tolist()
     shares = posterior.shares(solution.theta, posterior.known)
-    for body, (key, process) in enumerate(solution.problem.settings.process.items()):
-        share, depth = shares[:, body], float(solution.depths[body])
-        between = _between_readings(posterior.likelihoods, body)
-        entry: dict[str, Any] = {
-            "depth": depth, "verdict": "identified",
-            "between_readings": None if between is None else between * depth,
-        }  # fmt: skip
+    records = [s for test in problem.experiments for s in test.series if not s.profile]
+    most = max((record.n for record in records), default=0)
+    for (key, process), share, depth in zip(
+        problem.settings.process.items(), shares.T, depths, strict=True
+    ):
+        between = depth / (most - 1) if most > _SEVERAL else None
+        entry: dict[str, Any] = {"depth": depth, "verdict": "identified"}
         entries[key] = entry
+        entry["between_readings"] = between
         if not process.fitted:
             known = float(share[0])
             size = process.size or known**2 * depth
@@ -226,21 +205,9 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
         if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
             entry["verdict"] = "not identified"
         entry |= {"size": _quantiles(share**2 * depth, level), "share": found}
-        if between is not None and entry["size"]["estimate"] > between * depth:  # not normal
+        if between is not None and entry["size"]["estimate"] > between:  # not normal
             entry["size"]["interval"] = entry["share"]["interval"] = [None, None]
     return entries
-
-
-def _between_readings(likelihoods: Sequence[EmulatedLikelihood], body: int) -> float | None:
-    """Return the median depth worn between two readings of records, over the largest of all."""
-    steps = []
-    for likelihood in (one.likelihood for one in likelihoods):
-        depth = likelihood.setting.clocks[body][1]
-        steps += [
-            np.diff(np.unique(depth[part])) for series, part in records(likelihood.test.series)
-            if series.n > _SEVERAL and not series.profile
-        ]  # fmt: skip
-    return float(np.median(np.concatenate(steps))) if steps else None
 
 
 def direction(

@@ -120,25 +120,17 @@ def _radial(series: Series, case: Case) -> FloatArray:
 def growth(nuisance: Nuisance, case: Case, t: FloatArray, time: float) -> FloatArray:
     """Return the share of its growth that a warm rig has at t (n,) s.
 
-    It is cold at first, and follows its heat by time g' = heat - g (s): each change of the heat
-    makes a growth of its own. The heat is 1, or goes with the friction power where the nuisance has
-    ``power``.
+    It is cold at first, and follows its heat by time g' = heat - g (s): a step of it at the start,
+    and each change of its slope. The heat is 1, or goes with the friction power where the nuisance
+    has ``power``.
     """
-    starts, heat = np.zeros(1), np.ones(1)
-    if nuisance.power:
-        starts, heat = friction_power(case)
-        heat = heat / heat.max()
-    slopes = np.append(np.diff(heat) / np.diff(starts), 0.0)
-    # what is missing of the growth at the start of each part
-    missing = np.empty(len(starts))
-    missing[0] = heat[0] - slopes[0] * time
-    for i, length in enumerate(np.diff(starts).tolist(), start=1):
-        missing[i] = missing[i - 1] * np.exp(-length / time) - (slopes[i] - slopes[i - 1]) * time
-    part = np.maximum(np.searchsorted(starts, t, side="right") - 1, 0)
-    since = t - starts[part]
-    grown: FloatArray = (
-        heat[part] + slopes[part] * (since - time) - missing[part] * np.exp(-since / time)
-    )
+    starts, heat = friction_power(case) if nuisance.power else (np.zeros(1), np.ones(1))
+    heat = heat / heat.max()
+    slopes = np.diff(np.append(np.diff(heat) / np.diff(starts), 0.0), prepend=0.0)
+    grown = -heat[0] * np.expm1(-t / time)
+    for start, slope in zip(starts, slopes, strict=True):
+        since = np.maximum(t - start, 0.0)
+        grown = grown + slope * (since + time * np.expm1(-since / time))
     return grown
 
 

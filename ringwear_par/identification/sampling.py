@@ -1,12 +1,11 @@
 """Draws of a density by emcee, from draws of a nearby one; the integral of a density."""
 
-import itertools
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import emcee
 import numpy as np
-from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
 from ringwear_par.arrays import FloatArray
@@ -14,15 +13,13 @@ from ringwear_par.arrays import FloatArray
 #: walkers, for each dimension and most: many are in all parts of a density, where they hardly move
 _A_DIMENSION, _WALKERS = 128, 1024
 #: steps between two looks; between two states that are kept; most of all
-_STEPS, _THIN, _MOST_STEPS = 100, 5, 6000
-#: steps of a density that only leads to the next one: fewest, for each dimension, and most
-_SHORT, _EACH_SHORT, _MOST_SHORT = 30, 8, 60
+_STEPS, _THIN, _MOST_STEPS = 50, 5, 6000
+#: steps of a density that only leads to the next one
+_LEADING = 40
 #: share of the draws that must count for a density that is drawn from them
 _COUNT = 0.25
 #: most draws that are kept
 _KEPT = 20_000
-#: where draws are cut for a nearby density, and fewest in a part, by dimension
-_CUTS, _A_PART = (0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0), 5
 #: draws for an integral
 _EVIDENCE_DRAWS = 8192
 
@@ -34,42 +31,10 @@ def standardised(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
     return scaled, np.linalg.eigh(scaled.T @ scaled)[1][:, -1]
 
 
-class Nearby:
-    """A density near that of draws (s, d): a mixture of t distributions, one behind the other.
-
-    Draws are cut across their longest direction into parts, those at its ends too, each of which
-    has a t of its own and much the same weight: so bent and long tails are reached often.
-    """
-
-    def __init__(self, draws: FloatArray) -> None:
-        d, (scaled, longest) = draws.shape[1], standardised(draws)
-        along = scaled @ longest
-        cuts = np.quantile(along, _CUTS)
-        parts = [draws[(along >= a) & (along <= b)] for a, b in itertools.pairwise(cuts)]
-        parts = [draws, *(part for part in parts if len(part) > _A_PART * d)]
-        self._parts = [
-            multivariate_t(
-                part.mean(axis=0), 1.4 * np.cov(part.T).reshape(d, d), df=6, allow_singular=True
-            )
-            for part in parts
-        ]
-
-    def draw(self, count: int, random: np.random.RandomState) -> FloatArray:
-        """Return draws (count, d)."""
-        parts = random.randint(len(self._parts), size=count)
-        d = self._parts[0].dim
-        out = np.empty((count, d))
-        for number, part in enumerate(self._parts):
-            some = parts == number
-            if some.any():
-                out[some] = part.rvs(int(some.sum()), random).reshape(-1, d)
-        return out
-
-    def log_density(self, x: FloatArray) -> FloatArray:
-        """Return the log density (s,) at x (s, d)."""
-        logs = np.array([part.logpdf(x).reshape(len(x)) for part in self._parts])
-        density: FloatArray = logsumexp(logs, axis=0) - np.log(len(logs))
-        return density
+def _nearby(draws: FloatArray, seed: int) -> Any:
+    """Return a t distribution, a little wider than draws (s, d)."""
+    covariance = 1.4 * np.cov(draws.T).reshape(draws.shape[1], -1)
+    return multivariate_t(draws.mean(axis=0), covariance, df=6, allow_singular=True, seed=seed)
 
 
 class _Differences(emcee.moves.RedBlueMove):  # type: ignore[misc]
@@ -106,33 +71,29 @@ def draw(
     power, effective = 0.0, 0.0
     while power < most:
         prior, full = log_p(draws, 0.0), log_p(draws, 1.0)
-        good = np.isfinite(full)
-        best, weights = (-1.0, most), np.ones(len(draws))
+        good, counting = np.isfinite(full), -1.0
         for trial in power + (most - power) * 0.8 ** np.arange(100):
             logs = np.full(len(draws), -np.inf)
             logs[good] = (1.0 - trial) * prior[good] + trial * full[good] - old[good]
             w = np.exp(logs - logs.max())
-            effective = float(w.sum() ** 2 / (w @ w))
-            if effective > best[0]:
-                best, weights = (effective, float(trial)), w
-            if effective > _COUNT * len(draws):
+            if (count := float(w.sum() ** 2 / (w @ w))) > counting:
+                counting, power_of_most, weights = count, float(trial), w
+            if count > _COUNT * len(draws):
                 break
-        power = best[1]
+        power = power_of_most
         # each as often as its weight says, to one
         walkers = min(_A_DIMENSION * draws.shape[1], _WALKERS)
         places = (random.random() + np.arange(walkers)) / walkers
         chosen = np.searchsorted(np.cumsum(weights / weights.sum()), places)
         start = draws[np.minimum(chosen, len(draws) - 1)]
-        last = power >= most
         at_power = partial(log_p, power=power)
-        draws, old, effective = sample(at_power, start, Nearby(start), random, want * last)
+        draws, old, effective = sample(at_power, start, random, want * (power >= most))
     return draws, old, effective
 
 
 def sample(
     log_p: Callable[[FloatArray], FloatArray],
     start: FloatArray,
-    nearby: Nearby,
     random: np.random.Generator,
     want: float,
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -144,23 +105,23 @@ def sample(
     Parameters
     ----------
     start : (walkers, d) draws of about this density.
-    nearby : about them.
     want : effective number; 0: a few steps are enough.
     """
-    walkers, d = start.shape
+    (walkers, d), seed = start.shape, int(random.integers(2**31))
+    nearby = _nearby(start, seed + 1)
 
-    def anywhere(x: FloatArray, random: np.random.RandomState) -> tuple[FloatArray, FloatArray]:
-        new = nearby.draw(len(x), random)
-        return new, nearby.log_density(x) - nearby.log_density(new)
+    def anywhere(x: FloatArray, _: np.random.RandomState) -> tuple[FloatArray, FloatArray]:
+        new = nearby.rvs(len(x)).reshape(x.shape)
+        return new, nearby.logpdf(x) - nearby.logpdf(new)
 
     moves = [
         (emcee.moves.MHMove(anywhere), 0.4), (_Differences(), 0.45),
         (emcee.moves.StretchMove(), 0.15),
     ]  # fmt: skip
     sampler = emcee.EnsembleSampler(walkers, d, log_p, moves=moves, vectorize=True)
-    sampler.random_state = np.random.RandomState(int(random.integers(2**31))).get_state()
+    sampler.random_state = np.random.RandomState(seed).get_state()
     state = emcee.State(start)
-    steps = _STEPS if want else min(max(_SHORT, _EACH_SHORT * d), _MOST_SHORT)
+    steps = _STEPS if want else _LEADING
     while True:
         state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
         chain = sampler.get_chain()[_THIN - 1 :: _THIN]
@@ -193,9 +154,9 @@ def log_evidence(
     log_p: Callable[[FloatArray], FloatArray], draws: FloatArray
 ) -> tuple[float, float]:
     """Return the log of the integral of a density and its error, from another about its draws."""
-    density = Nearby(draws)
-    points = density.draw(_EVIDENCE_DRAWS, np.random.RandomState(0))
-    logs = log_p(points) - density.log_density(points)
+    density = _nearby(draws, 0)
+    points = density.rvs(_EVIDENCE_DRAWS).reshape(-1, draws.shape[1])
+    logs = log_p(points) - density.logpdf(points)
     weights = np.exp(logs - logs.max())
     error = weights.std() / weights.mean() / np.sqrt(len(weights))
     return float(logs.max() + np.log(weights.mean())), float(error)

@@ -1,7 +1,8 @@
 """What the likelihoods of all tests take from the middle of the draws: by a few more histories.
 
 Random wear and calibrations of measured inputs move readings along directions that hardly differ
-among the draws: they are found by differences, at the middle.
+among the draws: they are found by differences, at the middle. So is the radius at which friction
+acts, by which a torque tells it.
 """
 
 from dataclasses import replace
@@ -17,9 +18,10 @@ from ringwear_par.identification.definition.problem import (
     Series,
     body_of_wear,
 )
-from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.likelihood import Setting, TestLikelihood
-from ringwear_par.schedules import points_of
+from ringwear_par.identification.histories import Readings, step_times
+from ringwear_par.identification.likelihood import TestLikelihood
+from ringwear_par.identification.noise import Setting
+from ringwear_par.schedules import Table, in_time, points_of
 
 #: relative difference of rates, and of measured inputs
 _DIFFERENCE = 0.01
@@ -33,12 +35,12 @@ def needs_middle(problem: Problem) -> bool:
         problem.settings.process
         or problem.settings.loss == "student"
         or any(test.torque_input or any(i.scale for i in test.inputs) for test in tests)
-        or any(s.sd_fitted or s.growth_time or s.censored is not None for s in series)
+        or any(s.sd_fitted or s.censored is not None for s in series)
     )
 
 
 def settings_at(
-    readings: Readings, old: list[Setting], middle: FloatArray, shares: FloatArray, *, first: bool
+    readings: Readings, old: list[Setting], middle: FloatArray, shares: FloatArray
 ) -> list[Setting]:
     """Return the settings of all tests at unknowns (tests, m), the old ones without a history.
 
@@ -47,10 +49,8 @@ def settings_at(
     Parameters
     ----------
     shares : (bodies,) of random wear.
-    first : whether this is but the best of some draws, which does not tell outliers.
     """
-    if any(test.torque_input for test in readings.problem.experiments):
-        readings.problem = readings.with_friction_at(middle)
+    _tell_friction(readings, middle)
     problem = readings.problem
     predicted = [y[0] for y in readings([(i, x[None]) for i, x in enumerate(middle)])]
     clocks, depths = random_wear(readings, middle)
@@ -63,15 +63,53 @@ def settings_at(
     shares = np.where(np.isnan(known), shares, known)
     settings = []
     for i, test in enumerate(problem.experiments):
-        if not np.isfinite(predicted[i]).all():
-            settings.append(old[i])
-            continue
-        setting = replace(
-            old[i], clocks=tuple(clocks[i]), shares=known, scales=_scales(readings, i, middle)
-        )
-        adapted = TestLikelihood(test, setting, shares).adapted(predicted[i], problem.settings.loss)
-        settings.append(replace(adapted, sd=setting.sd) if first else adapted)
+        setting = old[i]
+        if np.isfinite(predicted[i]).all():
+            scales = _scales(readings, i, middle)
+            setting = replace(setting, clocks=tuple(clocks[i]), shares=known, scales=scales)
+            likelihood = TestLikelihood(test, setting, shares)
+            setting = likelihood.adapted(predicted[i], problem.settings.loss)
+        settings.append(setting)
     return settings
+
+
+def _read_beside(
+    readings: Readings, x: FloatArray, more: list[list[Series]], factors: tuple[float, float]
+) -> list[FloatArray]:
+    """Return the readings (n,) of all tests, and behind them of more series of each.
+
+    At unknowns (tests, m), by histories whose rates have factors.
+    """
+    problem = readings.problem
+    tests = zip(problem.experiments, more, strict=True)
+    experiments = tuple(replace(t, series=(*t.series, *of_test)) for t, of_test in tests)
+    readings.problem = replace(problem, experiments=experiments)
+    every = readings([(i, x[i : i + 1]) for i in range(len(x))], factors=factors)
+    readings.problem = problem
+    return [y[0] for y in every]
+
+
+def _beside(quantity: str, x: FloatArray) -> Series:
+    return Series(f"{quantity} beside", quantity, x, np.zeros(len(x)), np.ones(len(x)))
+
+
+def _tell_friction(readings: Readings, x: FloatArray) -> None:
+    """Tell friction by torques, at the radius where it acts in histories at unknowns (tests, m)."""
+    experiments = list(readings.problem.experiments)
+    if not any(test.torque_input for test in experiments):
+        return
+    grids = [step_times(test, readings.steps) for test in experiments]
+    more = [[_beside("torque", at)] for at in grids]
+    every = _read_beside(readings, x, more, (1.0, 1.0))
+    for i, (test, at, y) in enumerate(zip(experiments, grids, every, strict=True)):
+        force, friction = test.case.load.force, test.case.friction
+        if test.torque_input is None or force is None or not np.isfinite(y).all():
+            continue
+        torque, normal = y[test.n :], in_time(force, at)
+        radius = torque / np.where(normal > 0.0, in_time(friction, at) * normal, 1.0)
+        table = Table(tuple(at[normal > 0.0].tolist()), tuple(radius[normal > 0.0].tolist()))
+        experiments[i] = test.with_radius(table)
+    readings.problem = replace(readings.problem, experiments=tuple(experiments))
 
 
 def random_wear(
@@ -81,51 +119,28 @@ def random_wear(
 
     The depths (mm) are the largest mean ones of all tests. On the first rank.
     """
-    problem, tests = readings.problem, readings.problem.experiments
-    bodies = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
+    tests = readings.problem.experiments
+    bodies = [BODIES.index(body_of_wear(key)) for key in readings.problem.settings.process]
+    clocks: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in tests]
     if not bodies:
-        return [[] for _ in tests], np.zeros(0)
-    readings.problem = replace(problem, experiments=tuple(_with_volumes(t, bodies) for t in tests))
-    wanted = [(i, x[i : i + 1]) for i in range(len(tests))]
-    usual = [y[0] for y in readings(wanted)]
-    slopes, worn = [], []
+        return clocks, np.zeros(0)
+    more = [[_beside(f"volume.{BODIES[b]}", test.times) for b in bodies] for test in tests]
+    usual = _read_beside(readings, x, more, (1.0, 1.0))
+    depths = np.zeros(len(bodies))
     for place, body in enumerate(bodies):
-        factors = tuple(1.0 + _DIFFERENCE * (b == body) for b in range(len(BODIES)))
-        faster = [y[0] for y in readings(wanted, factors=(factors[0], factors[1]))]
-        slopes.append(
-            [(f - u)[: t.n] / _DIFFERENCE for f, u, t in zip(faster, usual, tests, strict=True)]
-        )
-        worn.append(
-            [
-                u[(1 + place) * t.n : (2 + place) * t.n] / t.case.area
-                for u, t in zip(usual, tests, strict=True)
-            ]
-        )
-    readings.problem = problem
-    depths = np.array([max((np.nanmax(d, initial=1e-300) for d in w), default=0.0) for w in worn])
-    clocks: list[list[tuple[FloatArray, FloatArray]]] = []
-    for i in range(len(tests)):
-        clocks.append([])
-        for slope, depth, most in zip(slopes, worn, depths, strict=True):
-            share = np.nan_to_num(depth[i]) / most
-            felt = np.divide(slope[i], share, out=np.zeros_like(share), where=share > 0.0)
-            clocks[i].append((np.nan_to_num(felt), share))
+        lower, upper = (1.0 + _DIFFERENCE * (b == body) for b in range(len(BODIES)))
+        faster = _read_beside(readings, x, more, (lower, upper))
+        worn = [
+            np.nan_to_num(y.reshape(-1, test.n)[1 + place]) / test.case.area
+            for y, test in zip(usual, tests, strict=True)
+        ]
+        depths[place] = max(max(float(depth.max()) for depth in worn), 1e-300)
+        for i, test in enumerate(tests):
+            slope = np.nan_to_num(faster[i] - usual[i])[: test.n] / _DIFFERENCE
+            share = worn[i] / depths[place]
+            felt = np.divide(slope, share, out=np.zeros_like(share), where=share > 0.0)
+            clocks[i].append((felt, share))
     return clocks, depths
-
-
-def _with_volumes(test: Experiment, bodies: list[int]) -> Experiment:
-    """Return a test that has volumes worn off some bodies, too, at the times of all readings."""
-    more = [
-        Series(
-            f"volume beside {BODIES[b]}",
-            f"volume.{BODIES[b]}",
-            test.times,
-            np.zeros(test.n),
-            np.ones(test.n),
-        )
-        for b in bodies
-    ]
-    return replace(test, series=(*test.series, *more))
 
 
 def _scales(readings: Readings, number: int, middle: FloatArray) -> tuple[FloatArray, ...]:

@@ -1,13 +1,13 @@
 """The numbers of a fit as people read them: rows and sentences, and the summary made of them.
 
-The page of a fit has the same ones. An ``outcome`` is the contents of fit.json
-(``FitResult.to_dict``), an ``entry`` those of a key.
+The page of a fit has the same ones. An ``outcome`` is the contents of fit.json, an ``entry`` those
+of a key.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import counted, warning_lines
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-
-if TYPE_CHECKING:
-    from ringwear_par.identification.fit_result import FitResult
 
 Entry = Mapping[str, Any]
 Interval = Sequence[float | None]
@@ -117,13 +114,15 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     failed = [(name, law["error"]) for name, law in laws.items() if "error" in law]
     solved = {name: law for name, law in laws.items() if "error" not in law}
-    shares = probabilities({name: law["evidence"] for name, law in solved.items()})
+    whole = np.logaddexp.reduce([law["evidence"] for law in solved.values()])
     best, rows = min(law["aic"] for law in solved.values()), []
     for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
         first = [key_rows(key, entry)[0] for key, entry in law["parameters"].items()]
         parameters = ", ".join(f"{row.label} {row.value}" for row in first)
         more = f"{law['aic'] - best:+.1f}"
-        share = f"{shares[name]:.2g}" if shares.get(name, 0.0) >= 1e-4 else "< 1e-4"
+        # as if all laws were equally probable before
+        probability = float(np.exp(law["evidence"] - whole))
+        share = f"{probability:.2g}" if probability >= 1e-4 else "< 1e-4"
         verdict = "does not fit" if law["flagged"] else "fits"
         if law["p_value"] is None:
             verdict = "not tested"
@@ -205,22 +204,7 @@ def process_lines(outcome: Entry) -> list[str]:
         low, high = (100.0 * end if end else math.nan for end in share["interval"])
         text += f" ({100.0 * outcome['level']:g} %: {low:.2g} to {high:.2g} %)" * (low == low)
         lines.append(f"{text}; events of {1e6 * size['estimate']:.3g} nm  {entry['verdict']}")
-    scatters = [s for e in outcome["parameters"].values() for s in e.get("scatter", {}).values()]
-    if lines and any(scatter.get("verdict") == "at bound" for scatter in scatters):
-        lines.append(
-            "beside it, the specimens may not differ at all: with 3 specimens or more, scatter "
-            "alone is enough for values of the material"
-        )
     return lines
-
-
-def probabilities(evidences: Mapping[str, float | None]) -> dict[str, float]:
-    """Return the probability of each law whose evidence is known, as if all were equal before."""
-    known = {name: value for name, value in evidences.items() if value is not None}
-    if not np.isfinite(max(known.values(), default=-np.inf)):
-        return {}
-    shares = np.exp(np.array([*known.values()]) - max(known.values()))
-    return dict(zip(known, (shares / shares.sum()).tolist(), strict=True))
 
 
 def check_rows(outcome: Entry) -> list[tuple[str, str, str, str]]:
@@ -236,16 +220,16 @@ def check_rows(outcome: Entry) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def summary(fit: "FitResult") -> str:
+def summary(name: str, outcome: Entry) -> str:
     """Return the outcome on one screen: the keys, whether the law fits, what was checked."""
-    problem, outcome = fit.problem, fit.to_dict()
+    parameters, level = outcome["parameters"], outcome["level"]
     lines = [
-        f"{problem.name}: {counted(fit.n, 'reading')} in "
-        f"{counted(len(problem.experiments), 'experiment')}, "
-        f"{counted(len(problem.parameters), 'parameter')}, {fit.solution.histories} histories"
+        f"{name}: {counted(outcome['n_data'], 'reading')} in "
+        f"{counted(len(outcome['experiments']), 'experiment')}, "
+        f"{counted(len(parameters), 'parameter')}, {outcome['histories']} histories"
     ]
-    level, width = outcome["level"], max(map(len, problem.keys))
-    for key, entry in outcome["parameters"].items():
+    width = max(map(len, parameters))
+    for key, entry in parameters.items():
         row, *derived = key_rows(key, entry)
         of = " of the material" * (entry["of"] == "material")
         text = f"{row.value}{of}  {row.ends}".rstrip()
@@ -254,18 +238,17 @@ def summary(fit: "FitResult") -> str:
         lines += [f"{indent}{r.label} {r.value}  {r.ends} ({r.note})" for r in derived]
         lines += [f"    {line}" for line in scatter_lines(entry, level)]
     lines += [f"  {line}" for line in process_lines(outcome)]
-    if not problem.scatters:
+    if all(entry["of"] == "specimens" for entry in parameters.values()):
         lines.append(f"  intervals {of_specimens(outcome)}")
-    verdict = "the law does not fit: " if fit.flagged else "the law fits: "
-    lines += [verdict * (fit.p_value is not None) + goodness(outcome), "checks:"]
+    verdict = "the law does not fit: " if outcome["flagged"] else "the law fits: "
+    lines += [verdict * (outcome["p_value"] is not None) + goodness(outcome), "checks:"]
     rows = check_rows(outcome)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for name, value, limit, passed in rows:
-        cells = (name.ljust(widths[0]), value.rjust(widths[1]), limit.ljust(widths[2]), passed)
+    for check, value, limit, passed in rows:
+        cells = (check.ljust(widths[0]), value.rjust(widths[1]), limit.ljust(widths[2]), passed)
         lines.append(f"  {'  '.join(cells)}")
-    lines += warning_lines(doubt.text for doubt in fit.doubts)
-    if fit.alternatives or fit.failed:
+    lines += warning_lines(outcome["warnings"])
+    if outcome["alternatives"]:
         lines.append(f"laws compared ({', '.join(LAWS[1:])}):")
-        lines += [f"  {name}: {', '.join(filter(None, cells))}"
-                  for name, *cells in law_rows(outcome)]  # fmt: skip
+        lines += [f"  {law}: {', '.join(filter(None, cells))}" for law, *cells in law_rows(outcome)]
     return "\n".join(lines)

@@ -1,7 +1,6 @@
 """Numbers of keys in the units of their users, and as specific wear rates."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,32 +14,40 @@ from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 
 _FRICTION = "contact.friction"
+#: mm3/(N m) in 1/MPa
+_UNIT = factor(SPECIFIC, None)
 
 Entry = Mapping[str, Any]
 
 
-def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
-    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
+def _scaled(entry: Entry, scale: float) -> dict[str, Any]:
+    """Return the numbers of a key's entry in fit.json in another unit, which is ``scale``.
 
-    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
-    coefficients k of laws whose specific wear rate is k mu. Of a running test the interval before
-    too.
+    Of a running test the interval before too.
     """
-    if not parameter.unit:
-        return None
-    scale = unit_scale(parameter)
 
     def converted(number: Any) -> Any:
         if isinstance(number, list | tuple):
             return [converted(entry) for entry in number]
         return None if number is None else number / scale
 
-    names = ["estimate", "sd", "interval", "next", *(["before"] if "before" in entry else [])]
-    unit = {"unit": parameter.unit, "scale": scale}
+    names = ("estimate", "sd", "interval", "next", "before")
+    return {name: converted(entry[name]) for name in names if name in entry}
+
+
+def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
+    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
+
+    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
+    coefficients k of laws whose specific wear rate is k mu.
+    """
+    if not parameter.unit:
+        return None
+    scale = unit_scale(parameter)
     law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
-    if law is not None and "p0" in law.kind.parameters and base_unit(parameter.key) == "1/MPa":
-        unit["per"] = "friction energy"
-    return {**unit, **{name: converted(entry.get(name)) for name in names}}
+    of_energy = law is not None and "p0" in law.kind.parameters
+    per = {"per": "friction energy"} if of_energy and base_unit(parameter.key) == "1/MPa" else {}
+    return {"unit": parameter.unit, "scale": scale, **per, **_scaled(entry, scale)}
 
 
 def specific_wear_rate(
@@ -51,36 +58,29 @@ def specific_wear_rate(
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
     The values (s, m) are draws of the keys.
     """
-    body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
-    threshold = entries.get(f"wear.{body}.p0", {}).get("estimate")
-    cases = [experiment.case for experiment in problem.experiments]
-    shares = {_share(case, body, threshold) for case in cases} if body in BODIES else {None}
-    (share, *others) = shares
+    body, entry, unit = key.removeprefix("wear.").removesuffix(".k"), entries[key], _UNIT
+    if body not in BODIES or f"wear.{body}.p0" in entries:
+        return None
+    (share, *others) = {_share(test.case, body) for test in problem.experiments}
     if share is None or others:
         return None
-    unit = factor(SPECIFIC, None)
-    if share == 1.0 or _FRICTION not in problem.keys:
-        ends = [None if end is None else share * end / unit for end in entry["interval"]]
-        estimate, sd = (share * entry[name] / unit for name in ("estimate", "sd"))
-    else:
+    rate = _scaled(entry, unit / share)
+    if share != 1.0 and _FRICTION in entries:
         share = float(entries[_FRICTION]["estimate"])
-        products = values[:, problem.keys.index(key)] * values[:, problem.keys.index(_FRICTION)]
-        level, (estimate, sd) = problem.settings.level, (np.median(products), products.std())
-        tails = [0.5 * (1.0 - level), 0.5 * (1.0 + level)]
-        ends = (np.quantile(products, tails) / unit).tolist()
-        estimate, sd = float(estimate) / unit, float(sd) / unit
-    rate = {"unit": SPECIFIC, "estimate": estimate, "sd": sd, "interval": ends}
-    if share != 1.0:
-        rate["mu"] = share
-    return {**rate, CUSTOMARY: estimate * unit / factor(CUSTOMARY, None)}
+        k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
+        level, products = problem.settings.level, k * mu / unit
+        ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)]).tolist()
+        median, sd = float(np.median(products)), float(products.std())
+        rate = {"estimate": median, "sd": sd, "interval": ends}
+    told = {"unit": SPECIFIC, **{name: rate[name] for name in ("estimate", "sd", "interval")}}
+    told[CUSTOMARY] = rate["estimate"] * unit / factor(CUSTOMARY, None)
+    return told if share == 1.0 else {**told, "mu": share}
 
 
-def _share(case: Case, body: str, threshold: float | None) -> float | None:
+def _share(case: Case, body: str) -> float | None:
     """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
     law, mu = case.laws_by_table[f"wear.{body}"], case.friction
     if law is None or not isinstance(mu, float) or not isinstance(law.values.get("k"), float):
         return None
-    if threshold is not None:
-        law = replace(law, values={**law.values, "p0": threshold})
     ratio = law.per_energy(mu)
     return None if ratio is None else round(float(ratio * mu / law.values["k"]), 12)

@@ -17,7 +17,8 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
-from ringwear_par.identification.likelihood import TestLikelihood, sides
+from ringwear_par.identification.likelihood import TestLikelihood
+from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen

@@ -32,9 +32,9 @@ from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import (
     LOG_SHARES,
     EmulatedLikelihood,
-    Setting,
     TestLikelihood,
 )
+from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.readings import TimeInterpolation
 from ringwear_par.identification.setting import needs_middle, settings_at
 
@@ -48,8 +48,6 @@ _TYPICAL_SHARE = 0.05
 _ENOUGH, _LESS = 0.1, 0.8
 #: width of kernels over the best one of a normal density; variance of what is known exactly
 _WIDTH, _EXACT = 0.5, 1e-12
-#: draws that growth times are judged by
-_JUDGED = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +76,7 @@ class Histories:
         settings = [Setting.before(plan, bodies=bodies)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _TYPICAL_SHARE)
-            settings = settings_at(readings, settings, middle, shares, first=True)
+            settings = settings_at(readings, settings, middle, shares)
         box = Box.about(x, *problem.unknown_bounds, _MARGIN)
         points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
         points = points[box.holds(points)]
@@ -221,11 +219,8 @@ class Follower:
         setting = self.histories.setting_of(test, outliers=loss == "student")
         specimen = self._weighed(test, setting, rms)
         if needs_middle(self.problem):  # which these draws tell
-            old = specimen.likelihood.likelihood
-            readings = self.histories.read(self.histories.parts, test).T
-            times = old.with_times_that_count(specimen.some(_JUDGED).v @ readings).times
-            setting = old.adapted(self.middle(specimen, test), loss)
-            specimen = self._weighed(test, replace(setting, times=times), specimen.shares)
+            setting = specimen.likelihood.likelihood.adapted(self.middle(specimen, test), loss)
+            specimen = self._weighed(test, setting, specimen.shares)
         return specimen
 
     def middle(self, specimen: Specimen, test: Experiment) -> FloatArray:
@@ -268,18 +263,13 @@ class Follower:
         return x[self.histories.emulator.holds(x[:, : self.m])]
 
     def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
-        """Return the likelihood of other readings: noise and growth times as of the specimen's."""
+        """Return the likelihood of other readings: noise as of the specimen's."""
         setting, old = self.histories.setting_of(test), specimen.likelihood.likelihood
         known = {
-            s.name: (np.median(old.setting.sd[part] / s.sd), old.setting.times.get(i))
-            for i, (s, part) in enumerate(records(old.test.series))
+            s.name: np.median(old.setting.sd[part] / s.sd) for s, part in records(old.test.series)
         }
-        every = [known.get(s.name, (1.0, setting.times.get(i))) for i, s in enumerate(test.series)]
-        sd = [scale * s.sd for s, (scale, _) in zip(test.series, every, strict=True)]
-        times = {i: ends for i, (_, ends) in enumerate(every) if ends is not None}
-        return TestLikelihood(
-            test, replace(setting, sd=np.concatenate(sd), times=times), specimen.shares
-        )
+        sd = [known.get(s.name, 1.0) * s.sd for s in test.series]
+        return TestLikelihood(test, replace(setting, sd=np.concatenate(sd)), specimen.shares)
 
 
 def _rms(shares: FloatArray) -> FloatArray:

@@ -7,7 +7,6 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.errors import InputError
 from ringwear_par.pictures import run_panels
 from ringwear_par.pictures.panel import Panel
@@ -49,17 +48,17 @@ def _titled(panel: Panel, label: str) -> Panel:
     return replace(panel, legend="\n".join(filter(None, (label, panel.note))))
 
 
-def _states(item: Item) -> list[StressState]:
-    """Return the states nearest to which stresses are drawn, the last one if none is chosen."""
+def _states(item: Item) -> list[int]:
+    """Return the rows of the states that stresses are drawn of, the last one if none is chosen."""
     times = item.result.histories["time"][list(item.rows)].tolist() if item.chosen else []
-    return fields.nearest_states(fields.stresses(item.result).states, times)
+    return fields.nearest_rows(fields.stresses(item.result)["stress_time"], times)
 
 
 def _maps(items: Sequence[Item]) -> Iterator[Drawing]:
-    top = highest([state for item in items for state in _states(item)])
+    top = highest([item.result.stress["stress_grid"][_states(item)] for item in items])
     for item in items:
-        for state in _states(item):
-            yield partial(draw_map, result=item.result, label=item.label, state=state, top=top)
+        for row in _states(item):
+            yield partial(draw_map, result=item.result, label=item.label, row=row, top=top)
 
 
 def _by_result(panels: Callable[[Item], Iterable[Drawing]]) -> Any:

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.key_values import Outline, outlines
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, StressState, mises
+from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, mises
 from ringwear_par.pictures.panel import FEW_POINTS, Axis, Band, Curve, Label, Panel
 from ringwear_par.pictures.run_panels import RADIUS, stage_styles
 from ringwear_par.pictures.sections import magnification
@@ -46,22 +46,24 @@ _WIDE, _TEXT_HEIGHT = 0.2, 0.6
 _DARK, _PALE = "#666666", "#808080"
 
 
-def highest(states: Sequence[StressState]) -> float:
-    """Return the end of the scale of maps of some states, MPa."""
-    values = np.concatenate([mises(state.grid).ravel() for state in states])
+def highest(maps: Sequence[FloatArray]) -> float:
+    """Return the end of the scale of maps of some stresses on grids (..., 6), MPa."""
+    values = np.concatenate([mises(stress).ravel() for stress in maps])
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, _SHARE)) if len(finite) else 1.0
 
 
-def draw_map(axes: Any, result: Result, label: str, state: StressState, top: float) -> None:
+def draw_map(axes: Any, result: Result, label: str, row: int, top: float) -> None:
     """Draw von Mises' stress on the grid, the bodies and, magnified, their worn faces.
 
     Parameters
     ----------
+    row : of the state with stresses.
     top : MPa, end of the scale.
     """
-    r, z = stresses(result).grid
-    values, sections = mises(state.grid), outlines(result.case, result.name)
+    of = stresses(result)
+    r, z, time = of["grid_r"], of["grid_z"], float(of["stress_time"][row])
+    values, sections = mises(of["stress_grid"][row]), outlines(result.case, result.name)
     under = (r > result.line.edges[0]) & (r < result.line.edges[-1])
     levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
     drawn = None
@@ -85,20 +87,20 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
         axes.add_patch(Polygon(outline.contour, fill=False, edgecolor="0.25", linewidth=0.9))
         axes.hlines(outline.interfaces, inner, outer, color="0.25", linewidth=0.5)
     stretch = _stretch(float(r[-1] - r[0]), float(z[-1] - z[0]))
-    _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]), max(stretch, 1.0))
+    _draw_wear(axes, result, time, sections, _WEAR_DRAWN * (z[-1] - z[0]), max(stretch, 1.0))
     axes.set_xlim(r[0], r[-1])
     axes.set_ylim(z[0], z[-1])
     axes.set_aspect(stretch)
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
-    time = time_words(state.time, float(result.histories["time"][-1]))
+    when = time_words(time, float(result.histories["time"][-1]))
     scales = {}
     if stretch != 1.0:
         scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
     words = ", ".join(
         f"{name} {scale:.6g}\N{MULTIPLICATION SIGN}" for name, scale in scales.items()
     )
-    axes.set_title(f"{label}: {time}\n{words}".rstrip())
+    axes.set_title(f"{label}: {when}\n{words}".rstrip())
 
 
 def _stretch(width: float, height: float) -> float:
@@ -139,16 +141,16 @@ def _spread(values: FloatArray, finite: BoolArray) -> FloatArray:
 
 
 def _draw_wear(
-    axes: Any, result: Result, state: StressState, sections: Sequence[Outline], height: float,
+    axes: Any, result: Result, time: float, sections: Sequence[Outline], height: float,
     stretch: float,
 ) -> None:  # fmt: skip
-    """Draw the worn faces of a state, the deepest wear by a height; return how much more it is.
+    """Draw the worn faces at a time (s), the deepest wear by a height; return how much more it is.
 
     Never less than it is: what the scale of heights shows is drawn as it lies. A legend names the
     faces that are among the heights of the map, and how much larger their wear is than radii.
     """
-    heights = stresses(result).grid[1]
-    row = int(np.abs(result.histories["time"] - state.time).argmin())
+    heights = stresses(result)["grid_z"]
+    row = int(np.abs(result.histories["time"] - time).argmin())
     depths = []
     for body in BODIES:
         profile = result.profiles.get(f"wear_{body}")
@@ -175,9 +177,15 @@ def _draw_wear(
         axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0)
 
 
-def along_height(result: Result, label: str, states: Sequence[StressState]) -> Panel:
-    """Return von Mises' stress along the height of the grid, in the middle of the contact."""
-    r, z = stresses(result).grid
+def along_height(result: Result, label: str, rows: Sequence[int]) -> Panel:
+    """Return von Mises' stress along the height of the grid, in the middle of the contact.
+
+    Parameters
+    ----------
+    rows : of states with stresses.
+    """
+    of = stresses(result)
+    r, z = of["grid_r"], of["grid_z"]
     inner, outer = result.line.edges[[0, -1]]
     column = int(np.abs(r - 0.5 * (inner + outer)).argmin())
     end = float(result.histories["time"][-1])
@@ -187,10 +195,10 @@ def along_height(result: Result, label: str, states: Sequence[StressState]) -> P
                              upper.interfaces + _ON_FACE])  # fmt: skip
     between = np.searchsorted(z, levels)  # where materials end, curves do
     height = np.insert(z, between, np.nan)
-    styles = stage_styles(np.array([state.time for state in states]), end)
+    styles = stage_styles(of["stress_time"][rows], end)
     curves = [
-        Curve(np.insert(mises(state.grid[column]), between, np.nan), height, *style)
-        for state, style in zip(states, styles, strict=True)
+        Curve(np.insert(mises(stress[column]), between, np.nan), height, *style)
+        for stress, style in zip(of["stress_grid"][rows], styles, strict=True)
     ]
     at = f"r = {r[column]:.4g} mm"
     highest = max((float(np.nanmax(curve.x, initial=0.0)) for curve in curves), default=0.0)
@@ -212,16 +220,16 @@ def largest(results: Sequence[Result], labels: Sequence[str]) -> Panel:
     unit, seconds = time_unit(max(float(result.histories["time"][-1]) for result in results))
     several, curves = len(results) > 1, []
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
-        states = stresses(result).states
-        time = np.array([state.time for state in states]) / seconds
+        of = stresses(result)
+        time = of["stress_time"] / seconds
         for i, body in enumerate(BODIES):
-            values = np.array([state.largest[i].mises for state in states])
+            values = of[f"max_mises_{body}"]
             if np.isfinite(values).any():
                 colour = COLOURS[(number if several else i) % len(COLOURS)]
                 name = ", ".join(filter(None, (label, body)))
                 marked = len(time) <= FEW_POINTS
                 curves.append(Curve(time, values, name, colour, number + i, 2.0, marked=marked))
-    beside = ", ".join(sorted({f"{stresses(result).exclude:g}" for result in results}))
+    beside = ", ".join(sorted({f"{stresses(result)['stress_exclude']:g}" for result in results}))
     title, excluded = f"largest {_MISES}", f"{beside} mm and more from edges"
     return Panel(
         Axis(f"time ({unit})", zero=True), Axis(title, zero=True), title, excluded, curves=curves,
@@ -229,26 +237,30 @@ def largest(results: Sequence[Result], labels: Sequence[str]) -> Panel:
     )  # fmt: skip
 
 
-def along_interfaces(result: Result, label: str, states: Sequence[StressState]) -> Iterator[Panel]:
+def along_interfaces(result: Result, label: str, rows: Sequence[int]) -> Iterator[Panel]:
     """Yield the tractions along each interface at some states, then von Mises' on both sides.
 
     Panels of one interface have one scale.
+
+    Parameters
+    ----------
+    rows : of states with stresses.
     """
     chosen = [COMPONENTS.index(name) for name in _TRACTIONS]
     sides = [f"just {side}" for side in SIDES]
     for interface in interfaces_of(result):
-        values = [interface.stress(state)[0][:, chosen].T for state in states]
-        for panel in _along(result, label, interface, states, values, [*_TRACTIONS.values()]):
+        values = [stress[0][:, chosen].T for stress in interface.stress[rows]]
+        for panel in _along(result, label, interface, rows, values, [*_TRACTIONS.values()]):
             yield replace(panel, y=replace(panel.y, label="traction on the interface (MPa)"))
     for interface in interfaces_of(result):
-        values = [mises(interface.stress(state)) for state in states]
-        for panel in _along(result, label, interface, states, values, sides):
+        values = [*mises(interface.stress[rows])]
+        for panel in _along(result, label, interface, rows, values, sides):
             low, high = panel.y.ends or (0.0, 1.0)
             yield replace(panel, y=Axis(_MISES, ends=(max(low, 0.0), high)))
 
 
 def _along(
-    result: Result, label: str, interface: Interface, states: Sequence[StressState],
+    result: Result, label: str, interface: Interface, rows: Sequence[int],
     values: Sequence[FloatArray], names: Sequence[str],
 ) -> Iterator[Panel]:  # fmt: skip
     """Yield the panel of each state: curves under the contact and beside it, free edges shaded.
@@ -258,7 +270,8 @@ def _along(
     values : (c, m) MPa, by state; on the scale of all, but for what is beside free edges.
     names : of the c curves.
     """
-    r, contact, exclude = interface.r, result.line.edges[[0, -1]], stresses(result).exclude
+    of, r, contact = stresses(result), interface.r, result.line.edges[[0, -1]]
+    exclude = float(of["stress_exclude"])
     contour = outlines(result.case, result.name)[interface.body].contour[:, 0]
     beside = _BESIDE * float(np.ptp(contact))
     low = max(float(contour.min()), contact[0] - beside)
@@ -287,12 +300,12 @@ def _along(
     note = f"shaded: {exclude:g} mm beside free edges, where stress is infinite"
     note = note if exclude and free else ""
     end_time = float(result.histories["time"][-1])
-    for state, state_values in zip(states, values, strict=True):
+    for at, state_values in zip(of["stress_time"][rows].tolist(), values, strict=True):
         curves = [
             Curve(r, curve, name, COLOURS[number], number)
             for number, (curve, name) in enumerate(zip(state_values, names, strict=True))
         ]
-        time = time_words(state.time, end_time)
+        time = time_words(at, end_time)
         lines = [": ".join(filter(None, (label, time))), interface.name, note]
         yield Panel(
             Axis(RADIUS, ends=(low, high)), Axis("", ends=(bottom, top)),

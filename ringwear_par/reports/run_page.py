@@ -14,7 +14,6 @@ from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports import blocks as page
 from ringwear_par.reports.case_words import case_words
-from ringwear_par.results.fields import nearest_states
 from ringwear_par.results.key_numbers import KeyNumber, check_numbers, key_numbers, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.summary import checks, early_end, warnings_of
@@ -132,21 +131,20 @@ def _errors(result: Result) -> page.Table:
 
 def _stresses(result: Result) -> list[page.Section]:
     """Return the pictures of the stored stresses and the largest of them, nothing without."""
-    if result.stress is None or not result.stress.states:
+    if not (stress := result.stress):
         return []
-    states = result.stress.states
-    gridded, last = len(result.stress.grid[0]) > 0, nearest_states(states, [])
+    times, last = stress["stress_time"].tolist(), [-1]
     label = "Line chart: von Mises stress"
     blocks: list[page.Block] = []
     charts = []
-    if gridded:
+    if "stress_grid" in stress:
         content = io.BytesIO()
         plot(result, "stress").savefig(content, format="png", dpi=150)
         alt = "Map of von Mises stress in the section"
         blocks.append(page.Picture("Stress inside", content.getvalue(), "image/png", alt))
         along = along_height(result, "", last)
         charts.append(page.Chart("depth", along, f"{label} along the height at {along.legend}"))
-    if any(len(interface.z) for interface in result.stress.interfaces):
+    if any(f"interface_z_{body}" in stress for body in BODIES):
         blocks.append(
             page.Lines(["Beside von Mises stress: tractions along interfaces of layers."])
         )
@@ -154,19 +152,20 @@ def _stresses(result: Result) -> list[page.Section]:
             page.Chart(f"interface-{number}", panel, f"Line chart: {panel.y.label}, {panel.title}")
             for number, panel in enumerate(along_interfaces(result, "", last), start=1)
         ]
-    if len(states) > 1:  # one is no history
+    if len(times) > 1:  # one is no history
         charts.append(
             page.Chart("mises", largest([result], [""]), f"{label}, the largest over time")
         )
     if charts:
         blocks.append(page.Charts(charts))
     rows = [
-        (f"{state.time:.6g}", body, f"{maximum.mises:.5g}", f"{maximum.r:.6g}", f"{maximum.z:.6g}")
-        for state in states
-        for body, maximum in zip(BODIES, state.largest, strict=True)
+        (f"{time:.6g}", body, f"{top[t]:.5g}", f"{r[t]:.6g}", f"{z[t]:.6g}")
+        for t, time in enumerate(times)
+        for body in BODIES
+        for top, r, z in [[stress[f"max_mises_{body}{end}"] for end in ("", "_r", "_z")]]
     ]
     header = ("time (s)", "ring", "von Mises (MPa)", "at r (mm)", "z (mm)")
-    caption = f"Largest von Mises stress, {result.stress.exclude:g} mm and more from edges"
+    caption = f"Largest von Mises stress, {stress['stress_exclude']:g} mm and more from edges"
     blocks.append(page.Table(caption, header, rows, folded=len(rows) > _SHORT))
     return [page.Section("Stress inside", blocks)]
 

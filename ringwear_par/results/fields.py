@@ -1,19 +1,16 @@
-"""Stresses and fields on whole boundaries: as arrays by name, and what a result has of them."""
+"""Stresses and fields on whole boundaries: what the arrays of a result have of them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
+    MESH_FIELDS,
     BoundaryFields,
     BoundaryState,
-    Interfaces,
-    Largest,
-    StressHistory,
-    StressState,
     max_shear,
     mises,
     principal,
@@ -23,71 +20,15 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.variables import (
     LARGEST_STRESS,
     LAYER_STRESS,
-    POINT_SIDE,
     POINT_SIDES,
     POINT_STRESS,
+    VARIABLES,
 )
 
 #: ends of the names of the numbers of a ``Largest``
-_LARGEST = {"": "mises", "_r": "r", "_z": "z", "_layer": "layer"}
-#: arrays of a ``StressState`` by the name of its field, the later ones of each body
-_OF_STATE = {"points": "stress", "grid": "stress_grid"}
-_OF_BODY = {
-    "surface": "surface_stress_{}",
-    "interfaces": "interface_stress_{}",
-    "layers": "max_mises_{}_layers",
-}
-
-
-def stress_arrays(history: StressHistory) -> dict[str, Any]:
-    """Return the stresses of stored states by name, nothing where there is no state."""
-    states = history.states
-    if not states:
-        return {}
-    values: dict[str, Any] = {
-        "stress_time": [state.time for state in states],
-        "stress_steps_made": [state.step for state in states],
-        "grid_r": history.grid[0],
-        "grid_z": history.grid[1],
-    }
-    for field, name in _OF_STATE.items():
-        values[name] = [getattr(state, field) for state in states]
-    for i, (body, lines) in enumerate(zip(BODIES, history.interfaces, strict=True)):
-        values |= {f"interface_r_{body}": lines.r, f"interface_z_{body}": lines.z}
-        for field, name in _OF_BODY.items():
-            values[name.format(body)] = [getattr(state, field)[i] for state in states]
-        for end, number in _LARGEST.items():
-            values[f"max_mises_{body}{end}"] = [getattr(s.largest[i], number) for s in states]
-    data = {name: np.array(v) for name, v in values.items() if len(v) and np.size(v[0])}
-    return {**data, **_points(history), "stress_exclude": np.array(history.exclude)}
-
-
-def stress_history(data: Mapping[str, Any]) -> StressHistory | None:
-    """Return the stresses of which these are the arrays, None where there are none."""
-    if "stress_time" not in data:
-        return None
-    times, steps = data["stress_time"].tolist(), data["stress_steps_made"].tolist()
-    none, no_stress = np.empty(0), np.empty((len(times), 0, 6))
-    largest = [[data[f"max_mises_{body}{end}"].tolist() for end in _LARGEST] for body in BODIES]
-
-    def state(t: int) -> StressState:
-        of_bodies: Any = {
-            field: tuple(data.get(name.format(body), no_stress)[t] for body in BODIES)
-            for field, name in _OF_BODY.items()
-        }
-        lower, upper = (Largest(*(numbers[t] for numbers in of_body)) for of_body in largest)
-        fields = {field: data.get(name, no_stress)[t] for field, name in _OF_STATE.items()}
-        return StressState(steps[t], times[t], **fields, **of_bodies, largest=(lower, upper))
-
-    lower, upper = (
-        Interfaces(*(data.get(f"interface_{axis}_{body}", none) for axis in "rz"))
-        for body in BODIES
-    )
-    return StressHistory(
-        np.stack([data.get(name, none) for name in ("point_r", "point_z")], axis=1),
-        tuple(data.get("point_side", ())), (data.get("grid_r", none), data.get("grid_z", none)),
-        float(data["stress_exclude"]), (lower, upper), tuple(map(state, range(len(times)))),
-    )  # fmt: skip
+_LARGEST = ("", "_r", "_z", "_layer")
+#: what sweeps store of stresses
+_SWEPT = (*LARGEST_STRESS, *LAYER_STRESS, *POINT_STRESS)
 
 
 def stress_measures(data: Mapping[str, Any]) -> dict[str, FloatArray]:
@@ -95,7 +36,7 @@ def stress_measures(data: Mapping[str, Any]) -> dict[str, FloatArray]:
 
     Parameters
     ----------
-    data : see ``stress_arrays``.
+    data : see ``variables.VARIABLES``.
     """
     measures: dict[str, FloatArray] = {}
     for place in ("", "_grid"):
@@ -116,43 +57,38 @@ def stress_measures(data: Mapping[str, Any]) -> dict[str, FloatArray]:
     return measures
 
 
+def stored_states(data: Mapping[str, Any], axis: str, times: FloatArray) -> list[dict[str, Any]]:
+    """Return the arrays of each state along an axis of stress or boundaries, at some times, s."""
+    names = [n for n in data if n in VARIABLES and VARIABLES[n].dimensions[:1] == (axis,)]
+    (at, *_) = [*(data[n] for n in names if n.endswith("time")), ()]
+    fixed = {n: data[n] for n in data if axis == "boundary_step" and n.endswith(MESH_FIELDS)}
+    return [{n: data[n][t] for n in names} | fixed for t, time in enumerate(at) if time in times]
+
+
 # -- in sweeps -------------------------------------------------------------------------------------
 
 
-def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArray]:
-    """Return the stresses of a history that sweeps store, NaN in states without stress.
+def stress_columns(
+    stresses: Sequence[Mapping[str, Any]], times: FloatArray, offsets: IntArray
+) -> dict[str, FloatArray]:
+    """Return the stresses of B histories that sweeps store, NaN in states without stress.
 
     Parameters
     ----------
-    times : (rows,) float, s, of all stored states.
+    stresses : arrays of each history by name, nothing where it has none.
+    times : (rows,) float, s, of all stored states; those of history i are ``offsets[i]`` on.
     """
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(LARGEST_STRESS, ())
-    shapes |= {n: (size,) for n, size in zip(LAYER_STRESS, history.layers, strict=True) if size}
-    if count := len(history.points):
-        shapes |= dict.fromkeys(POINT_STRESS, (count,))
-    columns = {name: np.full((len(times), *shape), np.nan) for name, shape in shapes.items()}
-    if data := stress_arrays(history):
-        data |= stress_measures(data)
-        rows = np.searchsorted(times, data["stress_time"])
-        for name, column in columns.items():
-            column[rows] = data[name]
-    return columns
-
-
-def _points(history: StressHistory) -> dict[str, Any]:
-    """Return radii, heights and sides of the points by name, nothing where there are none."""
-    if not len(history.points):
-        return {}
-    r, z = history.points.T
-    return {"point_r": r, "point_z": z, POINT_SIDE.name: list(history.sides)}
-
-
-def point_columns(history: StressHistory) -> dict[str, FloatArray]:
-    """Return radii, heights and sides of the points in numbers, nothing where there are none."""
-    columns = _points(history)
-    if columns:
-        sides = map(POINT_SIDES.index, columns[POINT_SIDE.name])
-        columns[POINT_SIDE.name] = np.array([*sides], dtype=float)
+    columns: dict[str, FloatArray] = {}
+    for i, data in enumerate(stresses):
+        if not data:
+            continue
+        first, end = offsets[i : i + 2]
+        rows = first + np.searchsorted(times[first:end], data["stress_time"])
+        known = {**data, **stress_measures(data)}
+        for name in (name for name in _SWEPT if name in known):
+            if name not in columns:
+                columns[name] = np.full((len(times), *known[name].shape[1:]), np.nan)
+            columns[name][rows] = known[name]
     return columns
 
 
@@ -163,22 +99,8 @@ def side_words(numbers: FloatArray) -> Any:
 
 # -- boundaries ------------------------------------------------------------------------------------
 
-#: arrays of ``BoundaryFields`` that are the same at all states, and those that are not
-_MESH = ("elements", "face")
+#: arrays of ``BoundaryFields`` of each state
 _MOVING = ("nodes", "displacement", "traction", "pressure", "wear")
-
-
-def boundary_arrays(states: Sequence[BoundaryState]) -> dict[str, Any]:
-    """Return the fields of stored states on both boundaries by name, nothing of no state."""
-    data: dict[str, Any] = {}
-    for i, body in enumerate(BODIES if states else ()):
-        bodies = [state.bodies[i] for state in states]
-        of_body = {name: getattr(bodies[0], name) for name in _MESH}
-        of_body |= {n: np.array([getattr(fields, n) for fields in bodies]) for n in _MOVING}
-        of_body["time"] = np.array([state.time for state in states])
-        of_body["steps_made"] = np.array([state.step for state in states])
-        data |= {f"boundary/{body}/{name}": values for name, values in of_body.items()}
-    return data
 
 
 def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
@@ -187,7 +109,7 @@ def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
         return ()
 
     def of(body: str, t: int) -> BoundaryFields:
-        mesh = {name: data[f"boundary/{body}/{name}"] for name in _MESH}
+        mesh = {name: data[f"boundary/{body}/{name}"] for name in MESH_FIELDS}
         return BoundaryFields(**mesh, **{n: data[f"boundary/{body}/{n}"][t] for n in _MOVING})
 
     times, steps = (data[f"boundary/lower/{name}"].tolist() for name in ("time", "steps_made"))
@@ -200,14 +122,14 @@ def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
 # -- what a result has of them ---------------------------------------------------------------------
 
 
-def stresses(result: Result) -> StressHistory:
-    """Return the stored stresses.
+def stresses(result: Result) -> dict[str, Any]:
+    """Return the stored stresses by name, see ``Result.stress``.
 
     Raises
     ------
     InputError : there are none.
     """
-    if result.stress is None:
+    if not result.stress:
         raise _lacks(result, "stresses", "computed with [stress] in its case")
     return result.stress
 
@@ -219,15 +141,14 @@ def check_grid(result: Result) -> None:
     ------
     InputError : there are none, or none on a grid.
     """
-    if not len(stresses(result).grid[0]):
+    if "stress_grid" not in stresses(result):
         raise _lacks(result, "stresses on a grid", "computed with stress.grid")
 
 
-def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
-    """Return the states nearest to times (s), the last one for none."""
-    stored = np.array([state.time for state in states])
+def nearest_rows(stored: FloatArray, times: Sequence[float]) -> list[int]:
+    """Return which stored times (s) are nearest to times, the last one for none."""
     rows = {int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1}
-    return [states[row] for row in sorted(rows)]
+    return sorted(rows)
 
 
 class Interface(NamedTuple):
@@ -241,15 +162,13 @@ class Interface(NamedTuple):
     r: FloatArray
     #: mm, its height, unworn
     z: float
+    #: (t, 2, m, 6) MPa, above and below, at stored times
+    stress: FloatArray
 
     @property
     def name(self) -> str:
         """What it is called in pictures."""
         return f"under layer {self.layer} of {BODIES[self.body]}, z = {self.z:.6g} mm"
-
-    def stress(self, state: StressState) -> FloatArray:
-        """Return (2, m, 6) MPa, above and below."""
-        return state.interfaces[self.body][self.layer]
 
 
 def interfaces_of(result: Result) -> list[Interface]:
@@ -259,10 +178,11 @@ def interfaces_of(result: Result) -> list[Interface]:
     ------
     InputError : there are none.
     """
+    of = stresses(result)
     interfaces = [
-        Interface(body, layer, line.r, float(z))
-        for body, line in enumerate(stresses(result).interfaces)
-        for layer, z in enumerate(line.z)
+        Interface(i, layer, of[f"interface_r_{body}"], z, of[f"interface_stress_{body}"][:, layer])
+        for i, body in enumerate(BODIES)
+        for layer, z in enumerate(of.get(f"interface_z_{body}", np.empty(0)).tolist())
     ]
     if not interfaces:
         raise _lacks(result, "stresses along interfaces", "of a body with layers")

@@ -13,12 +13,11 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results import hdf5
 from ringwear_par.results.fields import stress_measures
 from ringwear_par.results.key_numbers import laboratory_numbers
-from ringwear_par.results.result import Checkpoint, Last, Result
+from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.variables import (
     COORDINATES,
     EDGE_ELEMENT,
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
 
 #: place of the checkpoint
 _STATE = "checkpoint/state"
+#: beginning of the names of its measures
+_WORST = "worst_"
 
 
 # -- a result as variables -------------------------------------------------------------------------
@@ -150,39 +151,17 @@ def write_result(path: Path, result: Result) -> None:
 
 
 def checkpoint_bytes(checkpoint: Checkpoint) -> IntArray:
-    """Return a checkpoint as the bytes of an .npy file: one record of a history's arrays."""
-    parts = {
-        f"{name}.{field}": np.asarray(value)
-        for name, part in vars(checkpoint).items()
-        for field, value in (part if isinstance(part, dict) else vars(part)).items()
-        if value is not None
-    }
-    record = np.zeros((), [(name, array.dtype, array.shape) for name, array in parts.items()])
-    for name, array in parts.items():
-        record[name] = array
+    """Return a checkpoint as the bytes of an .npz file."""
+    arrays = {f"{_WORST}{name}": values for name, values in checkpoint.worst.items()}
+    arrays |= {name: v for name, v in vars(checkpoint.state).items() if v is not None}
     contents = io.BytesIO()
-    np.save(contents, record)
+    np.savez(contents, **arrays)
     return np.frombuffer(contents.getvalue(), dtype=np.uint8)
 
 
 def read_checkpoint(contents: IntArray) -> Checkpoint:
     """Return the checkpoint of these bytes; any exception means damage."""
-    record = np.load(io.BytesIO(contents.tobytes()), allow_pickle=False)
-    parts: dict[str, dict[str, Any]] = {"first": {}, "last": {}, "worst": {}}
-    for place in record.dtype.names:
-        part, _, name = place.partition(".")
-        value = record[place]
-        parts[part][name] = value if value.ndim else value.item()
-    return Checkpoint(State(**parts["first"]), Last(**parts["last"]), parts["worst"])
-
-
-def restored(result: Result) -> State:
-    """Return where a stored history continues.
-
-    Raises
-    ------
-    InputError : it was stored without.
-    """
-    if result.checkpoint is None:
-        raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
-    return result.checkpoint.first
+    with np.load(io.BytesIO(contents.tobytes()), allow_pickle=False) as arrays:
+        state = {n: values for n, values in arrays.items() if not n.startswith(_WORST)}
+        worst = {n.removeprefix(_WORST): arrays[n] for n in arrays.files if n not in state}
+    return Checkpoint(State(**state), worst)

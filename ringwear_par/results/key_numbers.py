@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, share
+from ringwear_par.arrays import FloatArray, IntArray, share
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.elasticity.sections import BODIES, BodyName
-from ringwear_par.errors import InputError
-from ringwear_par.results.result import HistoryColumns, Last, Result
+from ringwear_par.results.result import Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 from ringwear_par.schedules import Quantity, Schedules, Table, in_time, integral
 
@@ -70,14 +69,16 @@ def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
     )  # fmt: skip
 
 
-def end_numbers(cases: Sequence[Case], columns: HistoryColumns) -> dict[str, FloatArray]:
+def end_numbers(
+    cases: Sequence[Case], data: Mapping[str, Any], offsets: IntArray
+) -> dict[str, FloatArray]:
     """Return the numbers at the last stored states of B histories on one contact pair, (B,).
 
     Parameters
     ----------
-    cases, columns : of these histories.
+    data, offsets : see ``HistoryColumns``.
     """
-    stored, last = np.diff(columns.offsets) > 0, columns.offsets[1:] - 1
+    stored, last = np.diff(offsets) > 0, offsets[1:] - 1
     if not stored.any():
         return {}
     densities = {
@@ -85,10 +86,10 @@ def end_numbers(cases: Sequence[Case], columns: HistoryColumns) -> dict[str, Flo
         for i, body in enumerate(BODIES)
         if any(case.laws[i] is not None for case in cases)
     }
-    omega, time = Schedules.of([c.load.omega for c in cases]), columns.histories["time"][last]
+    omega, time = Schedules.of([c.load.omega for c in cases]), data["time"][last]
     numbers = _numbers(
-        {**columns.histories, **columns.layers}, last, omega.at(time), omega.integral(time),
-        cases[0].area, cases[0].mean_radius, densities,
+        data, last, omega.at(time), omega.integral(time), cases[0].area, cases[0].mean_radius,
+        densities,
     )  # fmt: skip
     return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
 
@@ -201,22 +202,26 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     ------
     InputError : the result was stored without its last state.
     """
-    if result.checkpoint is None:
-        raise InputError(f"{result.name}: holds no last state; must be one of a run")
-    state, about = result.checkpoint.last, result.attributes
+    state, about = result.last_state, result.attributes
     ends = {name: float(values[-1]) for name, values in result.histories.items()}
     ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
-    numbers = _group("penetration", _penetration(result, state))
-    for i, body in enumerate(BODIES):
-        numbers += _group(body, _worn(result, state, i, ends))
-    for i, body in enumerate(BODIES):
-        numbers += _group(f"worn layers of {body}", _layers(result, state, i))
-    numbers += _group("pressure", _pressures(result, state))
+    wearing = [body for body in BODIES if about[f"law_{body}"]]
+    wear, rates = (
+        dict(zip(wearing, values[:, 0], strict=True)) for values in (state.wear, state.rates)
+    )
+    pressure = state.pressure[0]
+    numbers = _group("penetration", _penetration(result, pressure, state.wear[:, 0].sum(axis=0)))
+    for body in wearing:
+        numbers += _group(body, _worn(result, body, wear[body], rates[body], ends))
+    for body in BODIES:
+        worn = wear.get(body, np.zeros(result.line.n))
+        numbers += _group(f"worn layers of {body}", _layers(result, body, worn))
+    numbers += _group("pressure", _pressures(result, pressure))
     numbers += _group("load", (
-        ("force", "force", state.force, "N"),
+        ("force", "force", ends["force"], "N"),
         ("torque", "torque", 1e-3 * ends["torque"], "N m"),
         ("dissipated_energy", "dissipated energy", 1e-3 * ends["dissipated_energy"], "J"),
-        ("approach", "approach", state.approach, "mm"),
+        ("approach", "approach", ends["approach"], "mm"),
     ))  # fmt: skip
     numbers += _group("sliding at the mean radius", (
         ("speed", "speed", about["omega"] * about["mean_radius"], "mm/s"),
@@ -226,13 +231,13 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     return numbers + _stresses(result)
 
 
-def _penetration(result: Result, state: Last) -> Iterator[_Row]:
+def _penetration(result: Result, pressure: FloatArray, wear: FloatArray) -> Iterator[_Row]:
     """Yield the penetration and its parts.
 
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
     """
-    load = state.pressure * result.line.area
+    load = pressure * result.line.area
     least = _ROUND_OFF * np.abs(result.data["approach"]).max()
 
     def shown(depth: float) -> float:
@@ -241,23 +246,22 @@ def _penetration(result: Result, state: Last) -> Iterator[_Row]:
     total = float(result.data["penetration"][-1])
     yield "penetration", "total", shown(total), "um"
     if not {"face_lower", "face_upper"} & result.attributes.keys() and load.sum() > 0:
-        worn = float(load @ state.wear.sum(axis=0) / load.sum())
+        worn = float(load @ wear / load.sum())
         yield "worn_off", "worn off", 1e3 * worn, "um"
         yield "elastic", "elastic", shown(total - worn), "um"
 
 
-def _worn(result: Result, state: Last, i: int, ends: Mapping[str, float]) -> Iterator[_Row]:
-    """Yield the wear of a body, nothing of one that does not wear."""
-    body = BODIES[i]
-    if not result.attributes[f"law_{body}"]:
-        return
+def _worn(
+    result: Result, body: BodyName, wear: FloatArray, rates: FloatArray, ends: Mapping[str, float]
+) -> Iterator[_Row]:
+    """Yield the wear of a body that wears."""
     volumes = _volumes(result.data, body)[-1]
     unknown = np.isnan(densities_of(result, body)) & (volumes > 0.0)
     keys = density_keys(body, len(volumes) - 1)
     missing = ", ".join(key for key, lacks in zip(keys, unknown, strict=True) if lacks)
     mass, mean_rate = ends.get(f"mass_lost_{body}", np.nan), ends[f"mean_wear_rate_{body}"]
-    now = 3.6e6 * float(state.rates[i] @ result.line.area) / result.attributes["nominal_area"]
-    yield f"{body}_deepest_wear", "deepest wear", 1e3 * state.wear[i].max(), "um"
+    now = 3.6e6 * float(rates @ result.line.area) / result.attributes["nominal_area"]
+    yield f"{body}_deepest_wear", "deepest wear", 1e3 * wear.max(), "um"
     yield f"{body}_worn_volume", "worn volume", ends[f"worn_volume_{body}"], "mm3"
     yield f"{body}_mass", "mass lost", mass, "mg", f"{missing} not given" if missing else ""
     yield f"{body}_mean_rate", "mean rate", mean_rate, "um/h"
@@ -266,9 +270,9 @@ def _worn(result: Result, state: Last, i: int, ends: Mapping[str, float]) -> Ite
     yield f"{body}_specific_rate", "specific wear rate", specific, "mm3/(N m)"
 
 
-def _layers(result: Result, state: Last, i: int) -> Iterator[_Row]:
+def _layers(result: Result, body: BodyName, wear: FloatArray) -> Iterator[_Row]:
     """Yield the wear of the layers of a body, nothing of one without."""
-    body, data = BODIES[i], result.data
+    data = result.data
     if f"share_through_{body}" not in data:
         return
     *volumes, itself = data[f"worn_volume_{body}_layers"][-1].tolist()
@@ -276,7 +280,7 @@ def _layers(result: Result, state: Last, i: int) -> Iterator[_Row]:
         yield f"{body}_volume_layer_{layer}", f"volume of layer {layer}", volume, "mm3"
     yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
     for layer, end in enumerate(data[f"layer_end_{body}"]):
-        if (gone := state.wear[i] >= end * (1.0 - _ON)).any():
+        if (gone := wear >= end * (1.0 - _ON)).any():
             percent = 100.0 * share(result.line.area, gone)
             yield f"{body}_share_through_layer_{layer}", f"area without layer {layer}", percent, "%"
     label, percent = "area without layers", 100.0 * data[f"share_through_{body}"][-1]
@@ -288,10 +292,10 @@ def _layers(result: Result, state: Last, i: int) -> Iterator[_Row]:
     yield f"{body}_most_left", "largest thickness left", left.max(), "um"
 
 
-def _pressures(result: Result, contact: Last) -> Iterator[_Row]:
+def _pressures(result: Result, p: FloatArray) -> Iterator[_Row]:
     """Yield the contact pressures."""
-    p, touching = contact.pressure, int((contact.pressure > 0.0).sum())
-    mean_pressure, note = contact.force / result.attributes["nominal_area"], f"of {result.line.n}"
+    touching, note = int((p > 0.0).sum()), f"of {result.line.n}"
+    mean_pressure = result.data["force"][-1] / result.attributes["nominal_area"]
     yield "mean_pressure", "mean over the nominal annulus", mean_pressure, "MPa"
     if touching:
         place = int(p.argmax())
@@ -307,18 +311,20 @@ def _pressures(result: Result, contact: Last) -> Iterator[_Row]:
 
 def _stresses(result: Result) -> list[KeyNumber]:
     """Return the largest stress of each body and its layers at the last state that has stresses."""
-    if (history := result.stress) is None:
+    if "stress_time" not in (data := result.data):
         return []
-    state, rows, group = history.states[-1], list[_Row](), "largest von Mises stress"
-    if state.time != result.data["time"][-1]:
-        group += f" at t = {state.time:g} s"
-    if history.exclude:
-        group += f", {history.exclude:g} mm and more from edges"
-    for body, largest, layers in zip(BODIES, state.largest, state.layers, strict=True):
-        if np.isfinite(largest.mises):
-            place = f"at r = {largest.r:.6g}, z = {largest.z:.6g} mm"
-            rows.append((f"{body}_mises", body, largest.mises, "MPa", place))
-        for i, value in enumerate(layers.tolist()):
+    rows, group = list[_Row](), "largest von Mises stress"
+    if (time := data["stress_time"][-1]) != data["time"][-1]:
+        group += f" at t = {time:g} s"
+    if exclude := float(data["stress_exclude"]):
+        group += f", {exclude:g} mm and more from edges"
+    for body in BODIES:
+        largest, r, z = (data[f"max_mises_{body}{end}"][-1] for end in ("", "_r", "_z"))
+        if np.isfinite(largest):
+            place = f"at r = {r:.6g}, z = {z:.6g} mm"
+            rows.append((f"{body}_mises", body, largest, "MPa", place))
+        layers = data.get(f"max_mises_{body}_layers", [()])[-1]
+        for i, value in enumerate(layers):
             label = f"layer {i} of {body}" if i < len(layers) - 1 else f"{body} itself"
             note = "nothing of it is left there" if np.isnan(value) else ""
             rows.append((f"{body}_mises_{i}", label, value, "MPa", note))

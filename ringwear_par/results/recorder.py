@@ -3,8 +3,6 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,28 +12,24 @@ from ringwear_par.batched import take
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import STOP_CRITERIA
 from ringwear_par.errors import ValidityWarning, reason_of
-from ringwear_par.history.checks import Worst
+from ringwear_par.history.block import Block
+from ringwear_par.history.checks import INFINITE_STRESS, Worst
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import Boundaries, CaseStresses, InfiniteEdge, Stresses
-from ringwear_par.results.fields import boundary_arrays, point_columns, stress_arrays, stress_rows
+from ringwear_par.history.stresses import Boundaries, CaseStresses, Stresses
+from ringwear_par.results.fields import stored_states, stress_columns
 from ringwear_par.results.key_numbers import end_numbers
 from ringwear_par.results.result import (
     BALANCE,
     Checkpoint,
     HistoryColumns,
-    Last,
     Result,
     case_attributes,
     times_through,
 )
-from ringwear_par.results.rows import Rows, moment
-from ringwear_par.results.variables import LAYER_ENDS
+from ringwear_par.results.rows import Columns, Rows, moment
+from ringwear_par.results.variables import LAYER_ENDS, POINT_SIDES
 from ringwear_par.results.warnings import warnings_of_histories
-
-#: what a checkpoint calls the largest stress beside an edge
-_INFINITE = "infinite_stress"
-_NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
 
 class Recorder:
@@ -63,9 +57,8 @@ class Recorder:
         results: bool = True,
         pair_is_shared: bool = False,
     ) -> None:
-        self._cases, self._comm, self._results, count = cases, comm, results, len(cases)
-        self._pair_is_shared = pair_is_shared
-        self._rows, self._worst = Rows(cases), Worst(count)
+        self._cases, self._comm, self._pair_is_shared = cases, comm, pair_is_shared
+        self._rows, self._worst = Rows(cases), Worst(len(cases))
         self._boundaries = Boundaries(cases[0], comm)
         of = stresses or (lambda case: CaseStresses(case, comm))
         made = {} if cases[0].stress is None else {0: of(cases[0])}
@@ -76,8 +69,6 @@ class Recorder:
         self.last: Instant | None = None
         #: of histories that have ended: their last instant, and their place in it
         self._ended: dict[int, tuple[Instant, int]] = {}
-        #: limits that ended histories before their times, in words by criterion, by number
-        self._stops: dict[int, dict[str, str]] = {}
         self._started, self._stepping = time.perf_counter(), 0.0
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
@@ -90,15 +81,15 @@ class Recorder:
     def _restore(self, before: Result) -> None:
         """Take over the stored rows of an interrupted history, and the worst of all its states."""
         assert before.checkpoint is not None
-        self.first, self._before = before.checkpoint.first, before.attributes
-        times, worst = self._rows.restore(before), dict(before.checkpoint.worst)
-        self._stresses.infinite[0] = InfiniteEdge(*worst.pop(_INFINITE))
-        self._worst.restore(worst)
-        if self._cases[0].output.boundary != "last":
-            self._boundaries.states = [s for s in before.boundary if s.time in times]
-        stress = self._cases[0].stress
-        if before.stress is not None and stress is not None and stress.times != "last":
-            self._stresses.states[0] = [s for s in before.stress.states if s.time in times]
+        self.first, self._before = before.checkpoint.state, before.attributes
+        times, output = self._rows.restore(before), self._cases[0].output
+        self._worst.measures = {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
+        if output.boundary != "last":
+            self._boundaries.states = stored_states(before.data, "boundary_step", times)
+        if (stress := self._cases[0].stress) is not None and stress.times != "last":
+            self._stresses.states[0] = stored_states(before.data, "stress_step", times)
+        if not self._stresses.states[0]:
+            self._worst.measures.pop(INFINITE_STRESS, None)
 
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""
@@ -114,7 +105,6 @@ class Recorder:
             self._rows(part)
         for place in np.flatnonzero(instant.ended).tolist():
             self._ended[int(numbers[place])] = instant, place
-        self._note_stops(instant)
         self._stepping = time.perf_counter() - self._started
         return False
 
@@ -126,16 +116,8 @@ class Recorder:
         for place, number in enumerate(instant.block.number.tolist()):
             state, before = moment(instant, place), float(self._rows.last_time[number])
             self._boundaries(state, before)
-            self._stresses(number, state, before)
-
-    def _note_stops(self, instant: Instant) -> None:
-        """Note which limits have ended those histories that are not at the ends of their times."""
-        block, state = instant.block, instant.state
-        early = instant.ended & (state.time < block.limits[:, -1])
-        for name, most in block.stop.items() if early.any() else ():
-            for place in np.flatnonzero(early & (STOP[name](block, state) >= most)).tolist():
-                limit = f"stop.{name} = {most[place]:g} {STOP_CRITERIA[name].unit}"
-                self._stops.setdefault(int(block.number[place]), {})[name] = limit
+            if edge := self._stresses(number, state, before):
+                self._worst.take(INFINITE_STRESS, np.array([number]), *np.array([edge]).T)
 
     # -- what there is -----------------------------------------------------------------------------
 
@@ -144,108 +126,111 @@ class Recorder:
         """Whether a single history has come to its end."""
         return 0 in self._ended
 
-    def columns(self, failures: Mapping[int, Exception] = _NO_FAILURES) -> HistoryColumns:
+    def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
         """Return all histories as they are stored.
 
         Parameters
         ----------
         failures : of histories that could not go on; they have the rows before.
         """
-        return self._recorded(failures)[0]
-
-    def _recorded(
-        self, failures: Mapping[int, Exception]
-    ) -> tuple[HistoryColumns, Sequence[Sequence[ValidityWarning]]]:
-        """Return all histories as they are stored, and the warnings of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
-        failed = [number in failures for number in range(count)]
-        stops = [() if bad else self._stops.get(i, {}) for i, bad in enumerate(failed)]
-        warnings = warnings_of_histories(self._cases, self._worst.measures, self._stresses, failed)
+        offsets, steps, data, last = self._rows.columns()
+        stresses = [self._stresses.arrays(number) for number in range(count)]
         through = np.full((2, count), np.inf)
         for number, (instant, place) in self._ended.items():
             through[:, number] = instant.state.through[place]
-        rows, whole = self._rows.columns(), times_through(self._cases[0], through)
-        # cases ask for the same stresses, or for none
-        histories = [self._stresses.history(number) for number in range(count)]
-        times = np.split(rows["histories"]["time"], rows["offsets"][1:-1])
-        stresses = [
-            stress_rows(history, at)
-            for history, at in zip(histories, times, strict=True)
-            if history is not None
-        ]
-        if histories[0] is not None:
-            whole |= {n: np.tile(v, (count, 1)) for n, v in point_columns(histories[0]).items()}
-        columns = HistoryColumns(
-            **rows,
-            imbalance=np.where(failed, 0.0, self._worst.imbalance),
+        whole = last | times_through(self._cases[0], through)
+        whole |= end_numbers(self._cases, data, offsets)
+        where = next((arrays for arrays in stresses if "point_r" in arrays), {})
+        if where:
+            sides = np.array([*map(POINT_SIDES.index, where["point_side"])], float)
+            points = {"point_r": where["point_r"], "point_z": where["point_z"], "point_side": sides}
+            whole |= {name: np.tile(values, (count, 1)) for name, values in points.items()}
+        return HistoryColumns(
+            offsets, steps, data | stress_columns(stresses, data["time"], offsets), whole,
+            imbalance=np.where([i in failures for i in range(count)], 0.0, self._worst.imbalance),
             flags=tuple(
-                (*(warning.code for warning in texts), *(f"stopped_by_{name}" for name in limits))
-                for texts, limits in zip(warnings, stops, strict=True)
+                () if i in failures
+                else (*(w.code for w in warnings), *(f"stopped_by_{n}" for n in self._limits(i)))
+                for i, warnings in enumerate(self._warnings(stresses))
             ),
             seconds=np.full(count, self._stepping / count),
-            status=tuple("failed" if bad else "done" for bad in failed),
-            reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
-            stress={n: np.concatenate([s[n] for s in stresses]) for n in (stresses or [{}])[0]},
-            whole=whole,
-        )
-        numbers = end_numbers(self._cases, columns)
-        return replace(columns, whole={**columns.whole, **numbers}), warnings
+            status=tuple("failed" if i in failures else "done" for i in range(count)),
+            reason=tuple(reason_of(failures[i]) if i in failures else "" for i in range(count)),
+        )  # fmt: skip
+
+    def _warnings(self, stresses: Sequence[Mapping[str, Any]]) -> list[list[ValidityWarning]]:
+        return warnings_of_histories(self._cases, self._worst.measures, stresses)
+
+    def _end(self, number: int) -> tuple[Block, State]:
+        """Return the last state of a history, as of a block of one."""
+        assert self.last is not None
+        instant, place = self._ended.get(number, (self.last, 0))
+        return take((instant.block, instant.state), np.array([place]))
+
+    def _limits(self, number: int) -> dict[str, str]:
+        """Return the limits that ended a history before its time, in words by criterion."""
+        if number not in self._ended or not self._ended[number][0].block.stop:
+            return {}
+        block, state = self._end(number)
+        return {
+            name: f"stop.{name} = {most[0]:g} {STOP_CRITERIA[name].unit}"
+            for name, most in block.stop.items()
+            if state.time[0] < block.limits[0, -1] and STOP[name](block, state)[0] >= most[0]
+        }
 
     # -- results -----------------------------------------------------------------------------------
 
     def result(self, error: str = "") -> Result:
         """Return the result of a single history so far. Collective on comm.
 
+        The state that it has come to is its last row, also where its case does not store it.
+
         Parameters
         ----------
         error : why the history cannot go on, "" where it can.
         """
-        columns, (warnings,) = self._recorded(_NO_FAILURES)
-        return self._result(0, columns, warnings, error)
+        assert self.last is not None
+        is_stored = self.last.state.time[0] <= self._rows.last_time[0]
+        columns = self._rows.columns(None if is_stored else self.last)
+        stresses = self._stresses.arrays(0)
+        return self._result(0, columns, stresses, self._warnings([stresses])[0], error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
-        columns, warnings = self._recorded(failures)
+        stresses = [self._stresses.arrays(number) for number in range(len(self._cases))]
+        every, columns = self._warnings(stresses), self._rows.columns()
         return [
-            failures[number] if number in failures else self._result(number, columns, doubts)
-            for number, doubts in enumerate(warnings)
+            failures[i] if i in failures else self._result(i, columns, stresses[i], warnings)
+            for i, warnings in enumerate(every)
         ]
 
     def _result(
         self,
         number: int,
-        columns: HistoryColumns,
+        columns: Columns,
+        stresses: Mapping[str, Any],
         warnings: Sequence[ValidityWarning],
         error: str = "",
     ) -> Result:
-        assert self.last is not None
-        case, rows = self._cases[number], columns.rows(number)
-        instant, place = self._ended.get(number, (self.last, 0))
-        block, state = take((instant.block, instant.state), np.array([place]))
-        steps, time_reached = columns.steps[rows], float(state.time[0])
-        balances = vars(self._worst.balances(number)).copy()
+        case, some = self._cases[number], slice(*columns.offsets[number : number + 2])
+        block, state = self._end(number)
+        balances = self._worst.balances(number)
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
             del balances["step_error"]
-        about = case_attributes(case, time_reached)
-        if number in self._stops:
-            about["stopped_by"] = " and ".join(self._stops[number].values())
+        about = case_attributes(case, float(state.time[0]))
+        if limits := self._limits(number):
+            about["stopped_by"] = " and ".join(limits.values())
 
-        data: dict[str, Any] = {"step": steps, "line/edges": case.line.edges}
-        numbers = np.arange(len(steps))
-        if case.output.times and not np.array_equal(steps, numbers):
-            data |= {"step": numbers, "steps_made": steps}
-        for table in (columns.histories, columns.profiles, columns.layers):
-            data |= {n: self._rows.part(n, column, rows, number) for n, column in table.items()}
+        data: dict[str, Any] = {"step": columns.steps[some], "line/edges": case.line.edges}
+        data |= {name: values[some] for name, values in columns.data.items()}
+        data |= {name: values[number] for name, values in columns.last.items()}
         for i, name in enumerate(LAYER_ENDS):
             if case.rings[i].layers:
                 data[name] = case.layer_ends(i)
-        if (stresses := self._stresses.history(number)) is not None:
-            data |= stress_arrays(stresses)
-        data |= boundary_arrays(self._boundaries.states)
+        data |= {**stresses, **self._boundaries.arrays()}
         through = times_through(case, state.through[0])
-        worst = {name: values[:, number].tolist() for name, values in self._worst.measures.items()}
-        worst[_INFINITE] = [*self._stresses.infinite[number]]
         return Result(
             data,
             {
@@ -254,24 +239,25 @@ class Recorder:
                 "status": "complete" if number in self._ended else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                **self._seconds(instant),
+                **self._seconds(block),
                 **{f"{BALANCE}{name}": value for name, value in balances.items()},
                 "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
-            Checkpoint(state, Last.of(block, state), worst),
-        )  # fmt: skip
+            Checkpoint(state, {n: v[:, number] for n, v in self._worst.measures.items()}),
+        )
 
-    def _seconds(self, instant: Instant) -> dict[str, float]:
+    def _seconds(self, block: Block) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.
 
         Of several histories, those of one in the mean.
         """
+        assert self.last is not None
         elastic = np.zeros(2)
         if not self._pair_is_shared:
-            elastic += instant.block.line.pairs[0].seconds
-        if instant.following is not None:
-            elastic += instant.following.seconds
+            elastic += block.line.pairs[0].seconds
+        if self.last.following is not None:
+            elastic += self.last.following.seconds
         assembly, solution = elastic.tolist()
         stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
         seconds = {

@@ -1,10 +1,10 @@
 """Results of cases and their attributes, and what all outcomes show; histories as columns."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,12 +13,11 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
-from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
+from ringwear_par.elasticity.stress.fields import BoundaryState
+from ringwear_par.errors import ComputationError, InputError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.block import Block
 from ringwear_par.history.state import State
-from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, TIMES_THROUGH
+from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
 from ringwear_par.version import versions
 
@@ -69,39 +68,12 @@ class Outcome:
         return outcome_html(self)
 
 
-@dataclass(frozen=True, eq=False)
-class Last:
-    """The last state of a history."""
+class Checkpoint(NamedTuple):
+    """Where a history goes on: its last state, as of a block of one, and what is told of it."""
 
-    #: s, number of steps made, N, mm
-    time: float
-    steps: int
-    force: float
-    approach: float
-    #: (n,) MPa; (2, n) mm and mm/s of lower and upper
-    pressure: FloatArray
-    wear: FloatArray
-    rates: FloatArray
-
-    @classmethod
-    def of(cls, block: Block, state: State) -> "Last":
-        """Return the state of a block of one."""
-        return cls(
-            float(state.time[0]), int(state.steps[0]),
-            float(state.pressure[0] @ block.line.area), float(state.approach[0]),
-state.pressure[0], block.both(state.wear)[:, 0],
-            block.both(state.rates)[:, 0],
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """Where a history goes on: its state, as of a block of one, and what is told of it."""
-
-    first: State
-    last: Last
+    state: State
     #: of the history so far, see ``checks.Worst``
-    worst: Mapping[str, Sequence[float]]
+    worst: Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +96,7 @@ class Result(Outcome):
 
     def __repr__(self) -> str:
         title = self.attributes.get("title") or "no title"
-        steps, end = max(self.steps_made, default=0), max(self.histories["time"], default=0.0)
+        steps, end = max(self.step, default=0), max(self.histories["time"], default=0.0)
         return (
             f"<Result: {title} ({self.name}): {self.line.n} contact elements, {len(self.step)} "
             f"states of {steps} steps until {end:g} s, {self.attributes['status']}>"
@@ -140,16 +112,20 @@ class Result(Outcome):
 
     @property
     def step(self) -> IntArray:
-        """(s,) what stored states are called: the steps made, or their own numbers.
-
-        Numbers where there are times of output, before which a number of steps is not unique.
-        """
+        """(s,) number of steps made before each stored state."""
         return self.data["step"]
 
     @property
-    def steps_made(self) -> IntArray:
-        """(s,) number of steps made before each stored state."""
-        return self.data.get("steps_made", self.step)
+    def last_state(self) -> State:
+        """The state that a run goes on from, as of a block of one.
+
+        Raises
+        ------
+        InputError : the result was stored without.
+        """
+        if self.checkpoint is None:
+            raise InputError(f"{self.name}: holds no last state; must be one of a run")
+        return self.checkpoint.state
 
     @property
     def histories(self) -> dict[str, Any]:
@@ -167,11 +143,9 @@ class Result(Outcome):
         return self._some(LAYERS)
 
     @property
-    def stress(self) -> StressHistory | None:
-        """Stored stresses, None where there are none."""
-        from ringwear_par.results.fields import stress_history
-
-        return stress_history(self.data)
+    def stress(self) -> dict[str, Any]:
+        """Stored stresses, and where they are, by name, see ``variables.STRESSES``."""
+        return self._some(STRESSES)
 
     @property
     def boundary(self) -> tuple[BoundaryState, ...]:
@@ -192,7 +166,7 @@ class Result(Outcome):
 
     @property
     def balances(self) -> dict[str, float]:
-        """Relative defects of balances by name, the worst of all steps (see Balances)."""
+        """Relative defects of balances by name, the worst of all steps, see ``checks.BALANCES``."""
         return {
             name.removeprefix(BALANCE): float(value)
             for name, value in self.attributes.items()
@@ -287,12 +261,12 @@ class HistoryColumns:
     offsets: IntArray
     #: (rows,) int, steps made
     steps: IntArray
-    #: (rows,) each, by name, see ``variables.HISTORIES``
-    histories: Mapping[str, Any]
-    #: (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones are
-    #: stored only: NaN where a history has none
-    profiles: Mapping[str, FloatArray]
-    #: (B,) float, the worst balance of each, see ``Balances.worst``
+    #: (rows, ...) each, by name, see ``variables``
+    data: Mapping[str, Any]
+    #: (B, ...) each, by name: numbers and, where they are stored alone, profiles at the ends; when
+    #: wear got through layers; where points of stress are
+    whole: Mapping[str, FloatArray]
+    #: (B,) float, the worst balance of each, see ``Worst.imbalance``
     imbalance: FloatArray
     #: what makes each doubtful, see ``ValidityWarning.code``, and limits that ended it early
     flags: tuple[tuple[str, ...], ...]
@@ -302,21 +276,6 @@ class HistoryColumns:
     status: tuple[str, ...]
     #: why it failed, one line; "" for one that has not
     reason: tuple[str, ...]
-    #: (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see ``variables.LAYERS``
-    layers: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: (rows,) or (rows, points) each, by name, see ``fields.stress_rows``
-    stress: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: (B,) or (B, points), by name: when wear got through layers, where points are
-    whole: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    @property
-    def deep(self) -> bool:
-        """Whether the profiles are stored as often as the histories."""
-        return all(len(values) == len(self.steps) for values in self.profiles.values())
-
-    def rows(self, i: int) -> slice:
-        """Return which rows are of history i."""
-        return slice(int(self.offsets[i]), int(self.offsets[i + 1]))
 
 
 # -- attributes ------------------------------------------------------------------------------------

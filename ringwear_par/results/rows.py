@@ -1,8 +1,8 @@
 """Rows of the variables that the cases of a block store."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,6 +94,18 @@ VALUES: Mapping[str, Value] = {
 }
 
 
+class Columns(NamedTuple):
+    """Rows of B histories, those of history i are ``offsets[i]`` to ``offsets[i + 1]``."""
+
+    #: (B + 1,) int, and (rows,) int, steps made
+    offsets: IntArray
+    steps: IntArray
+    #: (rows, ...) each, by name, see ``variables``
+    data: dict[str, Any]
+    #: (B, n) each, by name, where the last profiles are stored alone: NaN where there is none
+    last: dict[str, Any]
+
+
 class Rows:
     """The stored states of the histories of a block, as they come.
 
@@ -104,20 +116,14 @@ class Rows:
 
     def __init__(self, cases: Sequence[Case]) -> None:
         case, count = cases[0], len(cases)
-        self._case = case
+        self._output, self._count = case.output, count
         layers = len(case.lower.layers), len(case.upper.layers)
-        #: names of what is stored, by field of ``HistoryColumns``
-        self._groups = {
-            "histories": tuple(HISTORIES),
-            "profiles": case.output.fields,
-            "layers": layer_names((layers[0] > 0, layers[1] > 0)),
-        }
         sizes = {"element": case.line.n, "layer": 1 + layers[0], "layer_upper": 1 + layers[1]}
-        self._count = count
         self._rows: dict[str, list[Any]] = {name: [np.empty(0, np.int64)] for name in _NOTED}
         #: of each history the last profiles, where these alone are stored
         self._last: dict[str, FloatArray] = {}
-        for name in (name for names in self._groups.values() for name in names):
+        of_layers = layer_names((layers[0] > 0, layers[1] > 0))
+        for name in (*HISTORIES, *of_layers, *case.output.fields):
             variable = VARIABLES[name]
             shape = [sizes[axis] for axis in variable.dimensions[1:]]
             if case.output.profiles == "last" and "element" in variable.dimensions:
@@ -129,26 +135,25 @@ class Rows:
 
     def __call__(self, instant: Instant) -> None:
         """Take new states, all of which are to be stored."""
-        block, state = instant.block, instant.state
-        noted = {"number": block.number, "steps": state.steps, "iterations": state.iterations}
-        for name, rows in self._rows.items():
-            rows.append(noted[name] if name in noted else VALUES[name](block, state))
-        for name, last in self._last.items():
-            last[block.number] = VALUES[name](block, state)
-        self.last_time[block.number] = state.time
+        number = instant.block.number
+        for name, values in _values(instant, self._rows).items():
+            self._rows[name].append(values)
+        for name, values in _values(instant, self._last).items():
+            self._last[name][number] = values
+        self.last_time[number] = instant.state.time
 
     def restore(self, before: Result) -> FloatArray:
         """Take the rows of an interrupted single history that its case stores; return their times.
 
-        The last row of a history that ends later now may not be among them.
+        The last row of a history that was stopped, or ends later now, may not be among them.
         """
-        times, output = np.asarray(before.data["time"]), self._case.output
+        times, output = np.asarray(before.data["time"]), self._output
         if output.times:
             near = np.abs(times[:, None] - output.times) <= SAME_TIME * times[:, None]
             rows = (times == 0.0) | near.any(axis=1)
         else:
-            rows = before.steps_made % output.every == 0
-        steps = before.steps_made[rows]
+            rows = before.step % output.every == 0
+        steps = before.step[rows]
         noted = {
             "number": np.zeros(len(steps), np.int64),
             "steps": steps,
@@ -161,22 +166,30 @@ class Rows:
         self.last_time[0] = times[rows][-1]
         return times[rows]
 
-    def columns(self) -> dict[str, Any]:
-        """Return all rows, by history: the fields of ``HistoryColumns`` that these are."""
-        order = np.argsort(np.concatenate(self._rows["number"]), kind="stable")
-        for parts in self._rows.values():
-            parts[:] = [np.concatenate(parts)[order]]  # from now on in order, and once in memory
-        values = {name: rows for name, (rows,) in self._rows.items()}
-        numbers, steps, made = (values.pop(name) for name in _NOTED)
-        offsets = np.searchsorted(numbers, np.arange(self._count + 1))
-        values["contact_iterations"] = _since(made, offsets)
-        values |= self._last
-        groups = {g: {name: values[name] for name in names} for g, names in self._groups.items()}
-        return {"offsets": offsets, "steps": steps, **groups}
+    def columns(self, unstored: Instant | None = None) -> "Columns":
+        """Return all rows, by history.
 
-    def part(self, name: str, values: Any, rows: slice, number: int) -> Any:
-        """Return the values of a variable in some rows of a history, or its last profile."""
-        return values[number if name in self._last else rows]
+        Parameters
+        ----------
+        unstored : the state that a single history has come to, if that is not stored.
+        """
+        rows, last = self._rows, self._last
+        if unstored is not None:
+            rows = {n: [*rows[n], values] for n, values in _values(unstored, rows).items()}
+            last = _values(unstored, last)
+        order = np.argsort(np.concatenate(rows["number"]), kind="stable")
+        columns = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
+        numbers, steps, made = (columns.pop(name) for name in _NOTED)
+        offsets = np.searchsorted(numbers, np.arange(self._count + 1))
+        columns["contact_iterations"] = _since(made, offsets)
+        return Columns(offsets, steps, columns, last)
+
+
+def _values(instant: Instant, names: Iterable[str]) -> dict[str, Any]:
+    """Return what is stored of states under these names."""
+    block, state = instant.block, instant.state
+    noted = {"number": block.number, "steps": state.steps, "iterations": state.iterations}
+    return {n: noted[n] if n in noted else VALUES[n](block, state) for n in names}
 
 
 def _since(made: IntArray, offsets: IntArray) -> IntArray:

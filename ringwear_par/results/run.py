@@ -3,10 +3,10 @@
 import logging
 import shlex
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -21,7 +21,7 @@ from ringwear_par.files.writing import announce_replacement, check_writable
 from ringwear_par.history.loop import Instant, simulate_one
 from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
-from ringwear_par.results.files import open_result, restored, write_result
+from ringwear_par.results.files import open_result, write_result
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
@@ -80,8 +80,9 @@ def run_case(
     if before is None or not _is_at_end(case, before):
         if first:
             warn_of_threads(comm.size)
-        announced = before is None and not overwrite
-        _compute(Run(case, output, Recorder([case], comm, before), comm, announced), path)
+            if before is None and not overwrite:
+                announce_replacement(output)
+        _compute(Run(case, output, before, comm), path)
     elif first:
         limit = before.attributes.get("stopped_by")
         early = f" since it reached {limit}, which may grow" if limit else ""
@@ -102,37 +103,16 @@ def _checked(
     figure: Figure | None,
     ranks: int,
 ) -> tuple[Case, Result | None]:
-    """Return the case, and the result of the run that it goes on with, if any. On one rank.
-
-    Raises
-    ------
-    InputError : all that is wrong.
-    """
-    faults: list[str] = []
-
-    def tried(check: Callable[..., Any], *words: Any) -> Any:
-        try:
-            return check(*words)
-        except InputError as error:
-            faults.extend(error.faults)
-
-    case = tried(_read, path, overrides, ranks)
-    before = tried(_interrupted, path, output, case, restart, overwrite)
-    if figure is not None:
-        tried(figure.check, case.output if case is not None else None)
-    if faults:
-        raise InputError(*faults)
-    return case, before
-
-
-def _read(path: Path, overrides: Sequence[str], ranks: int) -> Case:
+    """Return the case, and the result of the run that it goes on with, if any. On one rank."""
     case = read_case(path, overrides)
     check_case(case, ranks, str(path))
-    return case
+    if figure is not None:
+        figure.check(case.output)
+    return case, _interrupted(path, output, case, restart, overwrite)
 
 
 def _interrupted(
-    path: Path, output: Path, case: Case | None, restart: bool, overwrite: bool
+    path: Path, output: Path, case: Case, restart: bool, overwrite: bool
 ) -> Result | None:
     """Return the result to go on with; refuse to lose one that was interrupted, or another file.
 
@@ -141,14 +121,14 @@ def _interrupted(
     if restart and overwrite:
         raise InputError("--restart, --overwrite: must be one of them, to go on or to start anew")
     check_writable(output)
-    if output.exists() and path.exists() and output.samefile(path):
+    if output.exists() and output.samefile(path):
         raise InputError(f"{output}: is the case file itself; must be another name")
     if output.suffix and output.suffix not in _ENDINGS:
         raise InputError(
             f"{output}: its ending must be one of {', '.join(_ENDINGS)}; ringwear export writes "
             "tables of results"
         )
-    if case is None or overwrite or not output.exists():
+    if overwrite or not output.exists():
         return None
     try:
         before = open_result(output)
@@ -163,7 +143,7 @@ def _interrupted(
     if restart and not fault:
         return before
     if not restart:
-        steps = restored(before).steps[0]
+        steps = before.last_state.steps[0]
         fault = f"holds a run that was interrupted after step {steps}; " + (
             "it is one of another case, and --overwrite replaces it"
             if fault
@@ -190,7 +170,7 @@ def _difference(before: Result, case: Case) -> str:
             f"holds another case; --restart needs the same case, only {growing} and limits in "
             "[stop] may change"
         )
-    reached = float(restored(before).time[0])
+    reached = float(before.last_state.time[0])
     if reached > case.time.end * (1.0 + SAME_TIME):
         return (
             f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
@@ -201,18 +181,13 @@ def _difference(before: Result, case: Case) -> str:
 
 def _is_at_end(case: Case, before: Result) -> bool:
     """Tell whether a stored history has come to the end of a case, or to one of its limits."""
-    first = restored(before)
-    if first.time[0] >= case.time.end:
+    if before.last_state.time[0] >= case.time.end:
         return True
-    assert before.checkpoint is not None
-    last = before.checkpoint.last
-    reached = {
-        "penetration": last.approach - float(first.first_approach[0]),
-        "wear_lower": last.wear[0].max(),
-        "wear_upper": last.wear[1].max(),
-        "energy": float(first.energy[0]),
-    }
-    return any(reached[name] >= limit for name, limit in case.stop)
+    stops = (
+        {key: value for key, value in read_keys(text).items() if key.startswith("stop.")}
+        for text in (before.case, case.stored_text)
+    )
+    return "stopped_by" in before.attributes and next(stops) == next(stops)
 
 
 def _continued(text: str) -> dict[str, Any]:
@@ -226,7 +201,7 @@ def _continued(text: str) -> dict[str, Any]:
 
 
 class Run:
-    """A history under way and its file: an observer in which ranks meet after every step.
+    """A history under way and its file: takes states, and lets ranks meet after every step.
 
     They write a checkpoint where one is due, and stop where one of them has received a signal: from
     the first state on after a step, before it at once. Calls are collective on comm, and answered
@@ -234,32 +209,26 @@ class Run:
 
     Parameters
     ----------
-    announced : whether to say that a file is replaced, once there is a state.
+    before : result of the interrupted history that continues; None: it starts.
     """
 
-    def __init__(
-        self, case: Case, output: Path, recorder: Recorder, comm: MPI.Comm, announced: bool
-    ) -> None:
-        self.case, self.output, self.recorder, self.comm = case, output, recorder, comm
-        self.signals, start = StopSignals(), recorder.first
-        since = 0.0 if start is None else float(start.time[0])
+    def __init__(self, case: Case, output: Path, before: Result | None, comm: MPI.Comm) -> None:
+        self.case, self.output, self.comm = case, output, comm
+        self.recorder = Recorder([case], comm, before)
+        self.signals = StopSignals()
+        since = 0.0 if before is None else float(before.last_state.time[0])
         self.progress = Progress(case.time.end, since) if comm.rank == 0 else None
         #: the signal that the ranks agreed to stop for, or 0
         self.agreed = 0
-        self._announced = announced and comm.rank == 0
-        #: steps that the file holds, None for none
-        self._steps = None if start is None else int(start.steps[0])
         #: when the last checkpoint was tried, and whether it was written
         self._saved, self._written = time.perf_counter(), True
 
     def __call__(self, instant: Instant) -> bool:
         """Take a new state; return whether to stop after it. Collective."""
+        if self.recorder.last is None:
+            self.signals.__enter__()
         self.recorder(instant)
         state = instant.state
-        if not self.signals.noted:
-            if self._announced:
-                announce_replacement(self.output)
-            self.signals.__enter__()
         if self.progress is not None:
             self.progress.show(
                 float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
@@ -288,76 +257,50 @@ class Run:
         result = self.recorder.result(error)
         on_first_rank(self.comm, lambda: write_result(self.output, result))
         self.recorder.seconds_output += time.perf_counter() - begun
-        last = self.recorder.last
-        self._steps = None if last is None else int(last.state.steps[0])
         return result
-
-    def save_at_end(self, error: str = "") -> Result:
-        """Write the history; where that fails, say which of its steps are stored. Collective."""
-        try:
-            return self.save(error)
-        except ComputationError as failure:
-            stored = (
-                "nothing of this run is stored"
-                if self._steps is None
-                else f"it holds the steps up to {self._steps}, and --restart goes on from there"
-            )
-            before = f"{error}; and " if error else ""
-            raise ComputationError(f"{before}{failure}; {stored}") from failure
 
 
 def _compute(run: Run, path: Path) -> None:
     """Step a history to its end or to a signal, write it, and print what came of it. Collective."""
-    case, output, recorder, first = run.case, run.output, run.recorder, run.comm.rank == 0
+    output, recorder, first = run.output, run.recorder, run.comm.rank == 0
     if (start := recorder.first) is not None and first:
         steps, reached = start.steps[0], start.time[0]
         log.info("continuing %s after step %d (%g s)", output, steps, reached)
     with ExitStack() as cleanup:
         cleanup.push(run.signals)
-        _step(run, path)
-        result = run.save_at_end()
+        try:
+            with closing(run.progress) if run.progress is not None else nullcontext():
+                simulate_one(run.case, run.comm, run, first=start, every=True)
+        except RingwearError as error:
+            _failed(run, path, error)
+        result = run.save()
         if first:
             file, page = (shlex.quote(str(p)) for p in (output, output.with_suffix(".html")))
             report = f"ringwear report {file} -o {page}"
             after = report if recorder.finished else "the same command with --restart"
             written = f"{output} ({counted(len(result.step), 'state')})"
             print(result.summary(), *labelled([("written", written), ("next", after)]), sep="\n")
-        last = recorder.last
         with together(run.comm):
-            if last is not None and not recorder.finished:
-                steps, reached = int(last.state.steps[0]), float(last.state.time[0])
+            if not recorder.finished:
                 raise ComputationError(
-                    f"stopped by {name_of(run.agreed)} after step {steps} (at {reached:g} of "
-                    f"{case.time.end:g} s); {output} holds the steps so far, and the same command "
-                    "with --restart continues"
+                    f"stopped by {name_of(run.agreed)} after step {result.step[-1]} (at "
+                    f"{result.data['time'][-1]:g} of {run.case.time.end:g} s); {output} holds the "
+                    "steps so far, and the same command with --restart continues"
                 )
 
 
-def _step(run: Run, path: Path) -> None:
-    """Step a history to its end, or until it is stopped. Collective.
-
-    Where a step fails, the steps before it are in the file.
-    """
-    case, recorder, comm = run.case, run.recorder, run.comm
-    with ExitStack() as cleanup:
-        if run.progress is not None:
-            cleanup.enter_context(closing(run.progress))
-        try:
-            simulate_one(case, comm, run, first=recorder.first, every=True)
-        except RingwearError as error:
-            for warning in implausible_numbers(case) if comm.rank == 0 else ():
-                if f"{warning.keys[0]} = " not in str(error):
-                    log.warning("%s: %s", path, warning.text)
-            if isinstance(error, UnfitError):
-                raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-            if (
-                isinstance(error, InputError)
-                or recorder.last is None
-                or not recorder.last.state.steps[0]
-            ):
-                raise
-            run.save_at_end(str(error))
-            raise ComputationError(
-                f"{path}: {error}. {run.output} holds the steps before it: ringwear plot and "
-                "report show how it came to that"
-            ) from error
+def _failed(run: Run, path: Path, error: RingwearError) -> NoReturn:
+    """Write the steps before one that failed, if there are any, and raise its error. Collective."""
+    for warning in implausible_numbers(run.case) if run.comm.rank == 0 else ():
+        if f"{warning.keys[0]} = " not in str(error):
+            log.warning("%s: %s", path, warning.text)
+    if isinstance(error, UnfitError):
+        raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+    last = run.recorder.last
+    if isinstance(error, InputError) or last is None or not last.state.steps[0]:
+        raise error
+    run.save(str(error))
+    raise ComputationError(
+        f"{path}: {error}. {run.output} holds the steps before it: ringwear plot and report show "
+        "how it came to that"
+    ) from error

@@ -31,13 +31,10 @@ class StopSignals:
     def __init__(self, at_once: bool = False) -> None:
         #: the first signal received, or 0
         self.received = 0
-        #: whether the context has been entered
-        self.noted = False
         self._at_once, self._time = at_once, 0.0
         self._old: dict[int, Any] = {}
 
     def __enter__(self) -> Any:
-        self.noted = True
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
                 if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:

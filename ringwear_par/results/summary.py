@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import SAME_TIME
-from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.key_numbers import (
@@ -120,16 +119,11 @@ def to_dict(result: Result) -> dict[str, Any]:
 
 
 def warnings_of(result: Result) -> list[str]:
-    """Return how far a history is that has not come to its end, and what is doubted, in words.
-
-    The result has its last state.
-    """
-    assert result.checkpoint is not None
-    about, last, sentences = result.attributes, result.checkpoint.last, []
+    """Return how far a history is that has not come to its end, and what is doubted, in words."""
+    about, sentences = result.attributes, []
     if about["status"] != "complete":
-        where = f"t = {last.time:g} of {about['time_end']:g} s"
-        if not SCHEMES[about["scheme"]].adaptive:
-            where = f"step {last.steps} of {about['time_steps']}"
+        time = f"t = {result.data['time'][-1]:g} of {about['time_end']:g} s"
+        where = f"step {result.step[-1]}, {time}"
         sentences.append(
             f"failed after {where}: {about['error']}"
             if about["error"]

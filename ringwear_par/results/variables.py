@@ -110,11 +110,9 @@ WORDS = {"component": COMPONENTS, "side": SIDES, "plane": DIRECTIONS[:2], "direc
 ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
 # fmt: off
 _AXES = _table(
-    ("step", "step", "1",
-     "number of time steps made; of the stored state where steps_made is there", "int"),
-    ("steps_made", "step", "1", "number of time steps made", "int"),  # states lie within steps
+    ("step", "step", "1", "number of time steps made", "int"),
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
-    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
+    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npz file",
      "int"),
 )
 #: the contact line
@@ -204,7 +202,8 @@ def _largest_of(place: str, bodies: str) -> dict[str, Variable]:
 
 
 _MAX_MISES = _largest_of("max_mises", "both rings")
-_STRESSES = {
+#: stresses and where they are, at the states that cases ask for
+STRESSES = {
     **_table(
         ("stress_time", "stress_step", "s", "time"),
         ("stress_steps_made", "stress_step", "1", "number of time steps made", "int"),
@@ -242,8 +241,8 @@ _STRESSES = {
 
 def _at_stored_states(*names: str) -> dict[str, Variable]:
     """Return variables of stress as sweeps have them, at all stored states."""
-    at = {name: _STRESSES[name].dimensions[1:] for name in names}
-    return {name: replace(_STRESSES[name], dimensions=("step", *rest)) for name, rest in at.items()}
+    at = {name: STRESSES[name].dimensions[1:] for name in names}
+    return {name: replace(STRESSES[name], dimensions=("step", *rest)) for name, rest in at.items()}
 
 
 #: what sweeps store, at the stored states that stress is asked for of: the largest, and points
@@ -287,7 +286,7 @@ LABORATORY_NUMBERS = {
 #: all variables of a result by their places in its file; groups have axes of their own
 VARIABLES = {
     **_AXES, **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **LAYERS, **LAYER_ENDS, **_STRESSES, **LABORATORY_NUMBERS,
+    **LAYERS, **LAYER_ENDS, **STRESSES, **LABORATORY_NUMBERS,
     **{f"boundary/{body}/{name}": v for body in BODIES for name, v in BOUNDARY.items()},
 }  # fmt: skip
 #: coordinates that are no dimensions

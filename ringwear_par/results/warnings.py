@@ -2,11 +2,12 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.plausible import implausible_numbers, wear_question
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import mises
@@ -14,11 +15,12 @@ from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.checks import (
     ENTRIES,
     FEW_ELEMENTS,
+    INFINITE_STRESS,
     MOST_ANGLE,
     force_measure,
     worn_share,
 )
-from ringwear_par.history.stresses import RISING, Stresses
+from ringwear_par.history.stresses import RISING
 from ringwear_par.schedules import Table, largest
 
 #: share of the largest force of a history under which contact need not be resolved
@@ -49,16 +51,21 @@ Check = tuple[str, BoolArray, Callable[[int], str]]
 
 
 def warnings_of_histories(
-    cases: Sequence[Case], worst: Measures, stresses: Stresses, failed: Sequence[bool]
-) -> list[tuple[ValidityWarning, ...]]:
-    """Return the warnings of each of B histories, none of those that have failed."""
+    cases: Sequence[Case], worst: Measures, stresses: Sequence[Mapping[str, Any]]
+) -> list[list[ValidityWarning]]:
+    """Return the warnings of each of B histories.
+
+    Parameters
+    ----------
+    stresses : arrays of each history by name, nothing where it has none.
+    """
     warnings = [[*implausible_numbers(case), *_of_case(case)] for case in cases]
     for code, mask, sentence in _of_states(cases, worst):
         for i in np.flatnonzero(mask).tolist():
             warnings[i].append(ValidityWarning(code, sentence(i)))
-    for number, case in enumerate(cases):
-        warnings[number] += _of_stresses(case, stresses, number)
-    return [() if bad else tuple(w) for bad, w in zip(failed, warnings, strict=True)]
+    for i, case in enumerate(cases):
+        warnings[i] += _of_interfaces(case, stresses[i])
+    return warnings
 
 
 def _of_case(case: Case) -> Iterator[ValidityWarning]:
@@ -86,24 +93,20 @@ def _of_case(case: Case) -> Iterator[ValidityWarning]:
 
 
 def _missed_corner(case: Case) -> tuple[float, float, float] | None:
-    """Return the corner of the load's table that fixed steps pass over, None for none.
+    """Return the corner of the load's table that fixed steps miss most, None if they miss none.
 
-    That is its time (s), the load there (N or mm), and what the load would be between both ends of
-    the step; of several corners, the one that is missed most.
+    That is its time (s), the load there (N or mm), and what steps have there.
     """
     load = case.load.displacement if case.load.force is None else case.load.force
-    step = case.time.step
     if case.time.adaptive or not isinstance(load, Table):
         return None
+    ends = case.time.step * np.arange(case.time.steps + 1)
     x, y = np.array(load.x), np.array(load.y)
-    number = np.floor(x / step + SAME_TIME)
-    share = np.clip(x / step - number, 0.0, 1.0)
-    straight = (1.0 - share) * load(number * step) + share * load((number + 1.0) * step)
+    straight = np.interp(x, ends, load(ends))
     missed = np.where((x > 0.0) & (x < case.time.end), np.abs(y - straight), 0.0)
     i = int(missed.argmax())
-    if missed[i] <= _SLIGHT_MISS * np.ptp(y):
-        return None
-    return float(x[i]), float(y[i]), float(straight[i])
+    slight = missed[i] <= _SLIGHT_MISS * np.ptp(y)
+    return None if slight else (float(x[i]), float(y[i]), float(straight[i]))
 
 
 def _height(case: Case) -> float:
@@ -190,6 +193,15 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
             if worn_share(body, layer) in worst:  # elements do not follow the wear
                 yield _worn_layer(cases, body, layer, worst[worn_share(body, layer)])
 
+    stress, when_infinite, edge, *_ = worst[INFINITE_STRESS]
+    exclude = 0.0 if cases[0].stress is None else cases[0].stress.exclude
+    yield "infinite_stress", stress > 0.0, lambda i: (
+        f"the largest von Mises stress at t = {when_infinite[i]:g} s, {stress[i]:.5g} MPa, is "
+        f"beside the edge of contact at r = {edge[i]:.6g} mm, where stress is infinite until wear "
+        f"has rounded the edge: this number grows as stress.exclude, now {exclude:g} mm, is made "
+        "smaller"
+    )  # fmt: skip
+
     share, when_aside, r, lower, upper, acts = worst["unlike_slopes"]
     advice = '; mesh.geometry = "updated" follows the worn faces' * (not cases[0].follows_wear)
     yield "unlike_slopes", share > _LOAD_ASIDE, lambda i: (
@@ -215,39 +227,31 @@ def _worn_layer(cases: Sequence[Case], body: int, layer: int, worn: FloatArray) 
     )  # fmt: skip
 
 
-def _of_stresses(case: Case, stresses: Stresses, number: int) -> Iterator[ValidityWarning]:
-    """Yield which largest stresses of a history lie where stress is infinite.
+def _of_interfaces(case: Case, stresses: Mapping[str, Any]) -> Iterator[ValidityWarning]:
+    """Yield which largest stresses of a history are beside free ends of interfaces, rising there.
 
-    That is beside an edge of contact, and beside the free ends of interfaces, where stresses rise;
-    beyond ``stress.exclude`` a few elements are near.
+    Beyond ``stress.exclude`` a few elements are near.
     """
-    if (history := stresses.history(number)) is None:
-        return
-    stress, time, r = stresses.infinite[number]
-    grows = f"grows as stress.exclude, now {history.exclude:g} mm, is made smaller"
-    if stress and time in [state.time for state in history.states]:
-        yield ValidityWarning(
-            "infinite_stress",
-            f"the largest von Mises stress at t = {time:g} s, {stress:.5g} MPa, is beside the "
-            f"edge of contact at r = {r:.6g} mm, where stress is infinite until wear has rounded "
-            f"the edge: this number {grows}",
-        )
     ends: dict[tuple[str, int, float], str] = {}  # the last state at each
-    for state in history.states:
-        for body, ring, highest, line, sides in zip(
-            BODIES, case.rings, state.largest, history.interfaces, state.interfaces, strict=True
-        ):
-            for layer, z in enumerate(line.z.tolist()):
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        if f"interface_stress_{body}" not in stresses:
+            continue
+        line, exclude = stresses[f"interface_r_{body}"], float(stresses["stress_exclude"])
+        tops = (stresses[f"max_mises_{body}{end}"] for end in ("", "_r", "_z"))
+        for t, (top, at_r, at_z) in enumerate(zip(*tops, strict=True)):
+            time, sides = stresses["stress_time"][t], stresses[f"interface_stress_{body}"][t]
+            for layer, z in enumerate(stresses[f"interface_z_{body}"].tolist()):
                 values = mises(sides[layer]).max(axis=0)
                 for r, end, further in zip(ring.r, (0, -1), (3, -4), strict=True):
-                    reach = history.exclude * (1.0 + 1e-6) + 6.0 * abs(line.r[end] - r)
-                    near = np.hypot(highest.r - r, highest.z - z) <= reach
+                    reach = exclude * (1.0 + 1e-6) + 6.0 * abs(line[end] - r)
+                    near = np.hypot(at_r - r, at_z - z) <= reach
                     if r > 0.0 and near and values[end] > RISING * values[further]:
                         ends[body, layer, r] = (
-                            f"the largest von Mises stress of {body} at t = {state.time:g} s, "
-                            f"{highest.mises:.5g} MPa, is beside the free edge of the interface "
-                            f"under {body}.layers[{layer}], at r = {r:.6g}, z = {z:.6g} mm, where "
-                            f"stress between two materials is infinite: this number {grows}"
+                            f"the largest von Mises stress of {body} at t = {time:g} s, "
+                            f"{top:.5g} MPa, is beside the free edge of the interface under "
+                            f"{body}.layers[{layer}], at r = {r:.6g}, z = {z:.6g} mm, where "
+                            "stress between two materials is infinite: this number grows as "
+                            f"stress.exclude, now {exclude:g} mm, is made smaller"
                         )
     for text in ends.values():
         yield ValidityWarning("infinite_stress_at_interface", text)

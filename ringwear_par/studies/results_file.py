@@ -36,7 +36,6 @@ from ringwear_par.studies.blocks import Block
 from ringwear_par.studies.ensemble import (
     AXES,
     END_VALUES,
-    FIELDS,
     FILE_KIND,
     RESULTS,
     SOFTWARE,
@@ -92,12 +91,9 @@ def arrays_of(
         arrays["seconds"][at], arrays["imbalance"][at] = columns.seconds, columns.imbalance
         stored = np.arange(rows.max(initial=1)) < rows[:, None]
         table = {n: np.tile(getattr(line, n), (len(rows), 1)) for n in LINE} | {**columns.whole}
-        for group in (columns.histories, columns.layers, columns.stress, columns.profiles):
-            for name, values in group.items():
-                table[name] = values
-                if name not in FIELDS or columns.deep:
-                    table[name] = np.full((*stored.shape, *values.shape[1:]), np.nan)
-                    table[name][stored] = values
+        for name, values in columns.data.items():
+            table[name] = np.full((*stored.shape, *values.shape[1:]), np.nan)
+            table[name][stored] = values
         tables.append(table)
     shapes: dict[str, tuple[int, ...]] = {}
     for table in tables:

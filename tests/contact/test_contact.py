@@ -95,6 +95,9 @@ def test_springs_have_a_closed_form(name):
     exact = np.maximum(0.005 - gap, 0.0) * 2e3
     found = SOLVERS[name](approach, gap, np.array([0.005]), None)
     assert found.pressure == pytest.approx(exact, rel=1e-8, abs=1e-9)
+    off = exact * (1.0 + 0.01 * (np.arange(12) == 3))
+    residual = bed.residual(bed.gap(gap, off, np.array([0.005])), off)
+    assert residual == pytest.approx(0.01 * exact[0, 3] / exact.max(), rel=1e-6)
     found = SOLVERS[name](force, gap, exact @ area, None)
     assert found.approach == pytest.approx(0.005, rel=1e-7)
     assert found.pressure == pytest.approx(exact, rel=1e-6, abs=1e-9)

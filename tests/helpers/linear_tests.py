@@ -4,7 +4,6 @@ import numpy as np
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
@@ -69,10 +68,6 @@ class LinearReadings:
 
     def tell(self, state):
         """Tell nobody."""
-
-    def history(self, test, unknowns):
-        """Return none."""
-        raise InputError(f"{test}: {unknowns} has no history")
 
     def __call__(self, wanted, **_):
         """Return readings (P, n) of each test; NaN where there is none."""

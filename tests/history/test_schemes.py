@@ -113,7 +113,7 @@ def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(name):
         exact = schemes.sdirk2(block, solver, exact, np.array([end]), None).state
     found = getattr(schemes, name)(block, solver, last[-1], np.array([34.0]), None)
     error = np.abs((found.state.wear - exact.wear).sum(axis=0)).max()
-    assert 0.1 < found.error.max() / error < 10.0
+    assert 0.1 < found.error.max() / error < 3.0
 
 
 @pytest.mark.parametrize(

@@ -46,16 +46,6 @@ def test_errors_at_points_left_out_are_those_at_new_ones(tolerance):
     assert 0.5 < found.error / true < 4.0  # points are denser at faces, where errors are largest
 
 
-def test_a_point_is_not_among_those_that_tell_its_error():
-    points, sd = BOX.design(96), np.full(2, 0.01)
-    _, before = emulate(BOX, points, bent(points), sd, np.ones(96), 1e-9)
-    weights = np.ones(96)
-    weights[7] = 1e-9
-    _, without = emulate(BOX, points, bent(points), sd, weights, 1e-9)
-    np.testing.assert_allclose(without[7], before[7], atol=1e-6)
-    assert 0.0 < np.abs(before[7] - bent(points)[7]).max() < 1e-3
-
-
 def test_points_far_from_the_data_count_less():
     assert nearness(np.array([0.0, 1.0, 4.9])) == pytest.approx(1.0)
     assert nearness(np.array([1.0] * 20 + [50.0]))[-1] == pytest.approx(0.01)

@@ -5,12 +5,12 @@ import pytest
 from linear_tests import KEYS, emulator, experiment, parameter, problem, series
 from parts import ProcessNoise
 from scipy.integrate import quad
-from scipy.stats import halfnorm, multivariate_normal, norm, truncnorm
+from scipy.stats import multivariate_normal, norm, truncnorm
 from scipy.stats import t as student_t
 
 from ringwear_par.identification.definition.problem import Prior, Scatter
-from ringwear_par.identification.funnel import Funnel
-from ringwear_par.identification.likelihood import EmulatedLikelihood, Setting, TestLikelihood
+from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
+from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.posterior import Layout, Posterior
 
 RNG = np.random.default_rng(3)
@@ -123,22 +123,3 @@ def test_tests_of_a_specimen_share_its_value_and_of_an_emulator_its_coordinates(
     half = posterior(theta[:2], 0.5) - posterior(theta[:2], 0.0)
     assert 2.0 * half == pytest.approx(posterior(theta[:2]) - posterior(theta[:2], 0.0))
     assert posterior.problem.keys == KEYS
-
-
-@pytest.mark.parametrize("keys", [1, 2])
-def test_the_change_of_variables_has_its_volume(keys):
-    second = parameter(1, (-3.0, 3.0), scatter=Scatter({"specimen": None}, 0.5))
-    layout = Layout(problem_of({"specimen": None}, *[second][: keys - 1]))
-    draws = layout.anywhere(4000, RNG)
-    for place, scale in layout.sizes:
-        draws[:, place] = np.log(halfnorm.rvs(scale=scale, size=4000, random_state=4))
-    funnel, theta = Funnel(layout, draws), theta_of(layout)
-    flat = funnel.flat(theta)
-    again, volume = funnel.theta(flat)
-    assert again == pytest.approx(theta, abs=1e-10)
-    step, d = 1e-6, layout.dimension
-    for one, log_volume in zip(flat, volume, strict=True):
-        moved = one + step * np.vstack([np.eye(d), -np.eye(d)])
-        columns = funnel.theta(moved)[0]
-        jacobian = (columns[:d] - columns[d:]) / (2.0 * step)
-        assert np.linalg.slogdet(jacobian)[1] == pytest.approx(log_volume, abs=1e-6)

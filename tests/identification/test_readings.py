@@ -13,7 +13,7 @@ import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance
 from ringwear_par.identification.histories import Readings, step_times
-from ringwear_par.identification.noise import coloured, log_volume, whitened
+from ringwear_par.identification.noise import coloured, log_volumes, whitened
 from ringwear_par.identification.readings import TimeInterpolation, growth, nuisance_columns
 
 
@@ -43,7 +43,7 @@ def test_noise_in_time_becomes_white():
     decay = np.exp(-np.abs(np.subtract.outer(record.x, record.x)) / 6.0)
     np.testing.assert_allclose(root @ root.T, decay, atol=1e-12)
     np.testing.assert_allclose(whitened(record, root), np.eye(40), atol=1e-12)
-    assert log_volume(record) == pytest.approx(0.5 * np.linalg.slogdet(decay)[1])
+    assert log_volumes(record).sum() == pytest.approx(0.5 * np.linalg.slogdet(decay)[1])
     constant = replace(record, correlation_time=1e17)  # no division by zero
     with np.errstate(all="raise"):
         assert np.isfinite(whitened(constant, np.arange(40.0))).all()

@@ -30,20 +30,6 @@ def test_wrong_signs(entry, good, tmp_path):
         check(changed(good, (*entry, "file"), str(tmp_path / "a.csv")))
 
 
-def test_a_key_to_which_nothing_responds(good):
-    """But for the pressure at the edges, which exceeds every threshold a little."""
-    tables = copy.deepcopy(good)
-    tables["experiment"] = tables["experiment"][:1]
-    tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
-    del tables["fit"]["parameters"]["wear.lower.p0"]
-    with pytest.raises(rw.InputError, match=r"respond to wear.lower.k"):
-        check(tables)
-    tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
-    start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
-    tables["fit"]["parameters"]["wear.lower.k"] = start
-    check(tables)  # hardly at the start, but elsewhere
-
-
 def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path):
     data = good["experiment"][0]["data"][0]
     t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T

@@ -65,10 +65,10 @@ def test_growth_with_friction_power_is_no_wear(warm):
     """A rig that is cold but once does not explain it, one that does not grow still less."""
     thermal = {"offset": {}, "thermal": {**THERMAL, "power": True}}
     found = rw.fit(warm(thermal), MPI.COMM_SELF)
-    (k,) = found.parameters
-    assert abs(k.estimate - TRUTH[K]) < 2.5 * k.sd < 0.3 * TRUTH[K]
+    k = found.parameters[K]
+    assert abs(k["estimate"] - TRUTH[K]) < 2.5 * k["sd"] < 0.3 * TRUTH[K]
     assert found.p_value > 0.01
-    of_rig = found.nuisances["a"]["penetration"]["thermal"]
+    of_rig = found.to_dict()["nuisance"]["a"]["penetration"]["thermal"]
     assert abs(of_rig["estimate"] - GROWTH) < 3.0 * of_rig["sd"] < 3.0
     assert abs(of_rig["time"]["estimate"] - TIME) < 3.0 * of_rig["time"]["sd"]
     assert of_rig["time"]["sd"] < 450.0  # of the prior: 480

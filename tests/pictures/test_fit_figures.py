@@ -7,7 +7,7 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
-from parts import drawn_series
+from parts import drawn_series, figure_of_keys
 
 import ringwear_par as rw
 from ringwear_par.pictures import fit_panels, key_panels
@@ -69,7 +69,7 @@ def test_residuals_are_data_less_model(found):
 
 def test_densities_and_pairs_are_those_of_the_draws(found):
     """With the interval's ends, one where there is one limit, and the verdict."""
-    check_texts(found.plot_parameters())
+    check_texts(figure_of_keys(found.to_dict(), found.draws))
     values = found.draws.values(found.draws.material)
     draws, outcome = dict(zip(found.draws.keys, values.T, strict=True)), found.to_dict()
     ((alone,), (pair, _)) = key_panels.fitted_keys(outcome, draws)
@@ -96,6 +96,6 @@ def test_long_tests_are_drawn_in_hours(found):
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, label in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
-        x, axis = drawn_series(found, test, one, part).along()
+        x, axis = drawn_series(test, one, part, 0.95).along()
         assert x == pytest.approx(one.x / seconds)
         assert axis.label == label

@@ -70,7 +70,7 @@ def test_saved_and_opened_it_is_the_same(computed, tmp_path, extra):
     again, copy = open_result(str(path)), tmp_path / "copy.h5"
     again.save(str(copy))
     assert_same(path, copy)
-    assert (again.checkpoint.first.meshed is not None) == bool(extra)
+    assert (again.last_state.meshed is not None) == bool(extra)
     np.testing.assert_equal(attributes(copy), attributes(path))
     np.testing.assert_array_equal(again.line.edges, result.line.edges)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.h5", "run.h5"]
@@ -118,7 +118,7 @@ def test_the_numbers_of_a_failed_run_are_data(computed):
         for number in (*key_numbers(failed), *check_numbers(failed))
     }
     assert (data["status"], data["error"]) == ("incomplete", "a step failed")
-    assert "warning: failed after step 20 of 20: a step failed" in failed.summary()
+    assert "warning: failed after step 20, t = 20 of 20 s: a step failed" in failed.summary()
 
 
 def test_key_numbers_do_not_depend_on_where_elements_are():

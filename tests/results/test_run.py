@@ -1,9 +1,7 @@
 """``ringwear run`` where a result is there: complete, interrupted, failed, of another case."""
 
-from dataclasses import replace
-
+import numpy as np
 import pytest
-from changed_steps import change_steps
 from parts import FigureFile
 from paths import PAPER
 
@@ -20,7 +18,7 @@ TOO_MUCH = [*SMALL, "wear.lower.k=1e-3", "time.step=20"]
 def state_of(path):
     """Status and last step of a run."""
     result = open_result(path)
-    return result.attributes["status"], int(result.checkpoint.last.steps)
+    return result.attributes["status"], int(result.last_state.steps[0])
 
 
 @pytest.fixture
@@ -55,9 +53,28 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
         with pytest.raises(rw.InputError, match=said):
             run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert state_of(interrupted) == ("incomplete", 7)
-    assert "step 7 of 20" in open_result(interrupted).summary().splitlines()[0]
+    assert "step 7, t = " in open_result(interrupted).summary().splitlines()[0]
     run_case(PAPER, interrupted, other, comm=comm, overwrite=True)
     assert state_of(interrupted) == ("complete", 20)
+
+
+@pytest.mark.parametrize("profiles", ["all", "last"])
+def test_a_run_stopped_between_stored_states_stores_its_last_one(
+    profiles, tmp_path, comm, stopped_after
+):
+    """Its numbers are all of that state; what goes on from it has no such row."""
+    path, keys = tmp_path / "run.h5", [*SMALL, "output.every=6", f"output.profiles={profiles}"]
+    with stopped_after(8), pytest.raises(rw.ComputationError, match="after step 8"):
+        run_case(PAPER, path, keys, comm=comm)
+    found = open_result(path)
+    assert found.step.tolist() == [0, 6, 8]
+    numbers = {name: n["value"] for name, n in found.to_dict()["numbers"].items()}
+    assert numbers["penetration"] == pytest.approx(numbers["worn_off"] + numbers["elastic"])
+    assert 0.0 < numbers["worn_off"] < numbers["penetration"]
+    wear = np.atleast_2d(found.profiles["wear_lower"])[-1]
+    assert numbers["lower_deepest_wear"] == pytest.approx(1e3 * wear.max())
+    run_case(PAPER, path, keys, comm=comm, restart=True)
+    assert open_result(path).step.tolist() == [0, 6, 12, 18, 20]
 
 
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(tmp_path, comm, monkeypatch):
@@ -66,13 +83,19 @@ def test_a_failure_at_a_time_of_output_leaves_no_row_twice(tmp_path, comm, monke
     keys = ["mesh.contact_elements=16", "time.step=1", "time.steps=4", "output.times=[0.5,2.2,2.5]"]
     run_case(PAPER, whole, keys, comm=comm)
 
-    def failing(scheme, block, solver, state, end, pace):
-        step = scheme(block, solver, state, end, pace)
-        return replace(step, failed=end > 2.2)
+    simulate_one = run.simulate_one
+
+    def failing(case, comm, save, **words):
+        def until_it_fails(instant):
+            if instant.state.time[0] > 2.2:
+                raise rw.ComputationError("contact: no")
+            return save(instant)
+
+        simulate_one(case, comm, until_it_fails, **words)
 
     with monkeypatch.context() as patch:
-        change_steps(patch, failing)
-        with pytest.raises(rw.ComputationError, match=r"contact: is not solved.*step 5"):
+        patch.setattr(run, "simulate_one", failing)
+        with pytest.raises(rw.ComputationError, match="contact: no"):
             run_case(PAPER, parts, keys, comm=comm)
     assert open_result(parts).histories["time"].tolist() == [0.0, 0.5, 2.2]
     run_case(PAPER, parts, keys, comm=comm, restart=True)

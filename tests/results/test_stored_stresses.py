@@ -51,11 +51,8 @@ def test_saved_and_opened_they_are_the_same(result, tmp_path):
     result.save(tmp_path / "run.h5")
     stored = rw.open_result(tmp_path / "run.h5")
     assert stored.to_xarray().equals(result.to_xarray())
-    assert stored.stress.sides == result.stress.sides
-    for a, b in zip(stored.stress.states, result.stress.states, strict=True):
-        assert (a.step, a.time, a.largest) == (b.step, b.time, b.largest)
-        for name in ("points", "grid", "surface", "interfaces", "layers"):
-            np.testing.assert_equal(list(getattr(a, name)), list(getattr(b, name)))
+    for name, values in result.stress.items():
+        np.testing.assert_equal(stored.stress[name], values)
 
 
 def test_variables(plain):
@@ -96,59 +93,58 @@ def test_variables_of_layers(layered):
     np.testing.assert_array_equal(data.interface_mises_upper, mises(stress))
     assert data.max_mises_lower_layers.dims == ("stress_step", "layer")
     assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
-    for state in layered.stress.states:
-        for own, largest in zip(state.layers, state.largest, strict=True):
-            assert own.max() == own[largest.layer] == largest.mises
-    for layer, value in enumerate(layered.stress.states[-1].layers[0]):
+    for body in ("lower", "upper"):
+        names = (f"max_mises_{body}{end}" for end in ("_layers", "_layer", ""))
+        for own, layer, largest in zip(*(layered.stress[name] for name in names), strict=True):
+            assert own.max() == own[layer] == largest
+    for layer, value in enumerate(layered.stress["max_mises_lower_layers"][-1]):
         assert numbers[f"lower_mises_{layer}"] == {"value": value, "unit": "MPa"}
 
 
 def test_force_and_torque_go_through_every_interface(layered):
     """Layers are free at their sides: what the contact bears must go on, however often."""
-    last = layered.stress.states[-1]
     force, torque = (layered.histories[name][-1] for name in ("force", "torque"))
-    for body, (line, end) in enumerate(zip(layered.stress.interfaces, (20.0, 28.5), strict=True)):
-        ends = [end]  # of the elements, from the inner one on
-        for r in line.r:
+    for body, end in (("lower", 20.0), ("upper", 28.5)):
+        ends, line = [end], layered.stress[f"interface_r_{body}"]
+        for r in line:  # of the elements, from the inner one on
             ends.append(2.0 * r - ends[-1])
-        area = np.pi * np.diff(np.square(ends))
-        for stress in (side for sides in last.interfaces[body] for side in sides):
+        area, last = (
+            np.pi * np.diff(np.square(ends)),
+            layered.stress[f"interface_stress_{body}"][-1],
+        )
+        for stress in (side for sides in last for side in sides):
             assert -(stress[:, 2] @ area) == pytest.approx(force, rel=2e-3)
-            assert stress[:, 5] @ (area * line.r) == pytest.approx(torque, rel=2e-3)
+            assert stress[:, 5] @ (area * line) == pytest.approx(torque, rel=2e-3)
             assert abs(stress[:, 3] @ area) < force
 
 
 def test_points_on_a_side_have_the_same(layered, comm):
-    known, last = layered.stress, layered.stress.states[-1]
-    asked = [
-        (body, number, k, side)
-        for body, of in enumerate(known.interfaces)
-        for number in range(len(of.z))
-        for k in (3, len(of.r) // 2)
-        for side in (0, 1)
-    ]
-    points = [
-        [known.interfaces[b].r[k], known.interfaces[b].z[i], SIDES[side]] for b, i, k, side in asked
-    ]
-    found = rw.simulate(both_bodies(stress__points=points), comm).stress.states[-1].points
-    for (b, i, k, side), stress in zip(asked, found, strict=True):
-        np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
+    points, expected = [], []
+    for body in ("lower", "upper"):
+        r, z, stress = (layered.stress[f"interface_{of}_{body}"] for of in ("r", "z", "stress"))
+        for number, height in enumerate(z):
+            for k in (3, len(r) // 2):
+                for side, word in enumerate(SIDES):
+                    points.append([r[k], height, word])
+                    expected.append(stress[-1, number, side, k])
+    found = rw.simulate(both_bodies(stress__points=points), comm).stress["stress"][-1]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_geometry_that_follows_the_wear(plain):
     """Points that wear takes away have no stress any more."""
-    fixed = plain.stress.states
-    moved = rw.simulate(case_of(stress__times="all", mesh__geometry="updated")).stress.states
-    np.testing.assert_allclose(moved[0].points, fixed[0].points, rtol=1e-9, atol=1e-9)
-    assert mises(moved[-1].points) == pytest.approx(mises(fixed[-1].points), rel=1e-2)
-    assert not np.array_equal(moved[-1].points, fixed[-1].points)
+    fixed, updated = plain.stress["stress"], case_of(stress__times="all", mesh__geometry="updated")
+    moved = rw.simulate(updated).stress["stress"]
+    np.testing.assert_allclose(moved[0], fixed[0], rtol=1e-9, atol=1e-9)
+    assert mises(moved[-1]) == pytest.approx(mises(fixed[-1]), rel=1e-2)
+    assert not np.array_equal(moved[-1], fixed[-1])
     first, *_, last = rw.simulate(case_of(
         stress__times="all", stress__points=[[30.0, 19.9999], [30.0, 19.0]], stress__grid=None,
         mesh__geometry="updated", mesh__geometry_tolerance=1e-4, wear__lower__p0=0.0,
         wear__lower__k=1e-6, time__steps=3,
-    )).stress.states  # fmt: skip
-    assert np.isfinite(first.points).all()
-    assert np.isfinite(last.points).all(axis=1).tolist() == [False, True]
+    )).stress["stress"]  # fmt: skip
+    assert np.isfinite(first).all()
+    assert np.isfinite(last).all(axis=1).tolist() == [False, True]
 
 
 # -- layers that are worn through ------------------------------------------------------------------
@@ -168,10 +164,10 @@ def worn_through(geometry, **more):
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
 def test_interfaces_have_no_stress_where_wear_has_come_through(geometry):
     found, left = worn_through(geometry)
-    r = found.stress.interfaces[0].r
+    r = found.stress["interface_r_lower"]
     under = [int(np.abs(r - at).argmin()) for at in found.line.r]
-    for state, there in zip(found.stress.states, left > 0.0, strict=True):
-        known = np.isfinite(state.interfaces[0][0]).all(axis=(0, 2))
+    for stress, there in zip(found.stress["interface_stress_lower"], left > 0.0, strict=True):
+        known = np.isfinite(stress[0]).all(axis=(0, 2))
         np.testing.assert_array_equal(known[under], there)
         assert np.delete(known, under).all()
 
@@ -183,16 +179,18 @@ def test_points_have_no_stress_in_layers_that_are_worn_through():
     points = [[r, *height] for r in case_of(LAYERED).line.r[::3].tolist() for height in heights]
     grid = {"body": "lower", "r": [28.5, 31.5], "z": [19.9985, 20.0], "n": [31, 2]}
     found, left = worn_through("fixed", stress__points=points, stress__grid=grid)
-    under = found.line.element_at(found.stress.grid[0])
-    for state, there in zip(found.stress.states, left > 0.0, strict=True):
-        known = np.isfinite(state.points).reshape(-1, len(heights), 6)
+    under = found.line.element_at(found.stress["grid_r"])
+    names = ("stress", "stress_grid", "surface_stress_lower", "surface_stress_upper")
+    states = zip(*(np.isfinite(found.stress[name]) for name in names), left > 0.0, strict=True)
+    for at_points, at_grid, lower, upper, there in states:
+        known = at_points.reshape(-1, len(heights), 6)
         for number in (0, 1, 2):
             np.testing.assert_array_equal(known[:, number].all(axis=1), there[::3])
         assert known[there[::3]].all()
         assert known[:, 3:].all()
-        np.testing.assert_array_equal(np.isfinite(state.surface[0]).all(axis=1), there)
-        assert np.isfinite(state.surface[1]).all()
-        on_grid = np.isfinite(state.grid).all(axis=2)
+        np.testing.assert_array_equal(lower.all(axis=1), there)
+        assert upper.all()
+        on_grid = at_grid.all(axis=2)
         np.testing.assert_array_equal(on_grid[:, 0], there[under])
         assert not on_grid[[0, -1], 1].any()  # edges of contact
         np.testing.assert_array_equal(on_grid[1:-1, 1], there[under][1:-1])
@@ -204,7 +202,7 @@ def test_layers_that_are_gone_have_no_largest_stress(geometry):
     changes = {"upper__layers": [film], "mesh__geometry": geometry, "stress__exclude": 0.05}
     result = rw.simulate(case_of(**changes))
     assert result.layers["share_through_upper"][-1] == 1.0
-    ((gone, left),) = (state.layers[1] for state in result.stress.states)
+    ((gone, left),) = result.stress["max_mises_upper_layers"]
     assert np.isnan(gone)
     numbers = result.to_dict()["numbers"]
     assert [numbers[f"upper_mises_{layer}"]["value"] for layer in (0, 1)] == [None, left]
@@ -216,9 +214,8 @@ def test_layers_that_are_gone_have_no_largest_stress(geometry):
 
 def test_the_largest_stress_at_an_edge_is_doubted(layered):
     unworn = rw.simulate(case_of(stress__times="last", time__steps=1, time__step=1e-6))
-    largest, _ = unworn.stress.states[-1].largest
     (lower,) = (number for number in key_numbers(unworn) if number.name == "lower_mises")
-    assert lower.value == largest.mises
+    assert lower.value == unworn.stress["max_mises_lower"][-1]
     assert any("stress.exclude" in doubt.text for doubt in unworn.doubts)
     # beside a free edge of an interface between two materials, too
     (text,) = [doubt.text for doubt in layered.doubts if "free edge" in doubt.text]
@@ -236,12 +233,12 @@ def test_hertz_like_crown_has_its_largest_stress_inside():
         stress__points=[[30.0, 19.0]], contact__friction=0.0, mesh__contact=[29.4, 30.6],
         mesh__contact_elements=48, time__steps=1, time__step=1e-6, mesh__grading=1.0,
     ))  # fmt: skip
-    lower, _ = result.stress.states[-1].largest
+    highest, height = (result.stress[f"max_mises_lower{end}"][-1] for end in ("", "_z"))
     p = result.profiles["pressure"][-1]
     a = 2.0 * 2000.0 / (2.0 * np.pi * 30.0) / (np.pi * p.max())
     # a line contact: 0.558 p_max at 0.704 a for nu = 0.3
-    assert lower.mises == pytest.approx(0.558 * p.max(), rel=0.02)
-    assert 20.0 - lower.z == pytest.approx(0.704 * a, rel=0.05)
+    assert highest == pytest.approx(0.558 * p.max(), rel=0.02)
+    assert 20.0 - height == pytest.approx(0.704 * a, rel=0.05)
     assert not any("stress.exclude" in doubt.text for doubt in result.doubts)
 
 
@@ -252,18 +249,18 @@ def test_stresses_beside_the_contact_converge(comm):
     for n in (64, 128):
         changes = {"mesh.contact_elements": n, "time.steps": 1, "time.step": 1e-6}
         case = rw.read_case("scripts/cases/paper.toml", {**changes, "stress.points": beside})
-        found[n] = mises(rw.simulate(case, comm).stress.states[-1].points)
+        found[n] = mises(rw.simulate(case, comm).stress["stress"][-1])
     np.testing.assert_allclose(found[64], found[128], rtol=0.01)
 
 
 def test_exports(plain, layered, tmp_path):
-    state = plain.stress.states[-1]
-    known = np.isfinite(state.grid).all(axis=-1)
+    grid = plain.stress["stress_grid"][-1]
+    known = np.isfinite(grid).all(axis=-1)
     export(plain, tmp_path / "a.vtkhdf")
     data = last_state(tmp_path / "a.vtkhdf")
     assert len(data["points"]) == known.sum()
-    assert data["mises"] == pytest.approx(mises(state.grid[known]))
-    assert data["stress_tz"] == pytest.approx(state.grid[known][:, 5])
+    assert data["mises"] == pytest.approx(mises(grid[known]))
+    assert data["stress_tz"] == pytest.approx(grid[known][:, 5])
     # quadrangles of the grid, none across edges, where nothing is known
     corners = data["points"][data["cells"]]
     assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
@@ -278,11 +275,13 @@ def test_exports(plain, layered, tmp_path):
 
     rows, last = sheet(plain, "stress at points")
     assert len(rows) == 7 * 3
-    assert [last[f"stress[{name}] (MPa)"] for name in COMPONENTS] == pytest.approx(state.points[-1])
-    for body, name in enumerate(("lower", "upper")):
+    assert [last[f"stress[{name}] (MPa)"] for name in COMPONENTS] == pytest.approx(
+        plain.stress["stress"][-1, -1]
+    )
+    for name in ("lower", "upper"):
         rows, last = sheet(layered, f"interfaces of {name}")
-        line, stress = layered.stress.interfaces[body], layered.stress.states[-1].interfaces[body]
-        assert len(rows) == 3 * 2 * len(line.z) * len(line.r)
+        stress = layered.stress[f"interface_stress_{name}"][-1]
+        assert len(rows) == 3 * stress[..., 0].size
         assert last["side"] == "below"
         for column, value in (("stress_{}[zz]", stress[-1, 1, -1, 2]),
                               ("mises_{}", mises(stress[-1, 1, -1]))):  # fmt: skip

@@ -89,10 +89,13 @@ def test_asymmetric_compliances_are_doubted(tables, elements, poisson, wrong):
         tables |= {"lower": {**tables["lower"], "layers": [film]}, "load": {**tables["load"]}}
         tables["load"]["pressure"] = 0.5
     result = rw.simulate(rw.read_case(tables))
-    codes = [doubt.code for doubt in result.doubts]
-    assert ("coarse_mesh" in codes) == wrong
+    assert ("coarse_mesh" in codes(result)) == wrong
     limit = 3e-3 if poisson is None else 5e-3
     assert (limit < result.attributes["symmetry_defect"]) == wrong
+
+
+def codes(result):
+    return [doubt.code for doubt in result.doubts]
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -109,6 +112,6 @@ def test_doubts_of_a_history_are_as_alone(order):
     for pair, code in ((forces, "high_pressure"), (displacements, "large_displacement"),
                        (down, "large_displacement")):  # fmt: skip
         cases = [rw.read_case(tables) for tables in pair][::order]
-        alone = [rw.simulate(case).doubts for case in cases]
-        assert any(code in [doubt.code for doubt in doubted] for doubted in alone)
-        assert [result.doubts for result in rw.simulate_all(cases)] == alone
+        alone = [codes(rw.simulate(case)) for case in cases]
+        assert code in alone[0] + alone[1]
+        assert [codes(result) for result in rw.simulate_all(cases)] == alone

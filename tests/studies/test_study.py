@@ -71,7 +71,7 @@ def test_grid_is_the_product_in_order(write):
     assert [row[1] for row in values] == [0, 20] * 3
     assert [row[0] for row in values[::2]] == pytest.approx([1e-8, 1e-7, 1e-6], rel=1e-14)
     case = study.case(3)
-    assert (case.wear_lower.k, case.wear_lower.p0) == (values[3][0], 20.0)
+    assert case.wear_lower.values == {"k": values[3][0], "p0": 20.0}
     assert study.order.tolist() == [0, 1, 2, 3, 4, 5]
 
 
@@ -206,5 +206,5 @@ def test_parameters_of_a_user_law_vary(tmp_path):
     assert study("two").digest(every) != one.digest(every)
     cases = pickle.loads(pickle.dumps(one)).cases_of(every)
     assert cases == [one.case(n) for n in range(5)]
-    assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 45, 60, 75, 90]
-    assert all(dict(case.wear_lower.parameters)["k"] == 2e-7 for case in cases)
+    assert [case.wear_lower.values["parameters.p1"] for case in cases] == [30, 45, 60, 75, 90]
+    assert all(case.wear_lower.values["parameters.k"] == 2e-7 for case in cases)

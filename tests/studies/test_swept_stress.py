@@ -43,10 +43,12 @@ def check(row, mine, own):
     count, at = int(mine.steps_stored), np.searchsorted(own.time, own.stress_time)
     for name in (*ROWS, "max_mises_lower_layers", "mises", "max_shear"):
         stored = mine[name].values[:count]
-        np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-8)
+        np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-3)
         assert np.isnan(np.delete(stored, at, axis=0)).all()
     layers = own.worn_volume_lower_layers.values
-    np.testing.assert_allclose(mine.worn_volume_lower_layers[:count], layers, rtol=1e-8)
+    np.testing.assert_allclose(
+        mine.worn_volume_lower_layers[:count], layers, rtol=1e-3, atol=1e-3 * layers.max()
+    )
     ends = {name: own[name].values[-1] for name in (*ROWS, "share_through_lower")}
     ends |= {f"mises[{i}]": end for i, end in enumerate(own.mises.values[-1])}
     names = (f"worn_volume_lower_layers[{entry}]" for entry in (0, "body"))
@@ -54,7 +56,7 @@ def check(row, mine, own):
     ends |= {"least_layer_left_lower": own.layer_left_lower.values[-1].min()}
     ends |= {"time_through_lower": own.attrs["time_through_lower"]}
     for column, end in ends.items():
-        assert float(row[column] or "nan") == pytest.approx(end, rel=1e-8, abs=1e-12, nan_ok=True)
+        assert float(row[column] or "nan") == pytest.approx(end, rel=1e-3, abs=1e-12, nan_ok=True)
     assert mine.point_side.values.tolist() == own.point_side.values.tolist() == ["", "", "above"]
     return bool(np.isfinite(ends["time_through_lower"]))
 
@@ -98,7 +100,7 @@ def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
         for name in ("worn_volume_lower_layers", "max_mises_lower_layers"):
             stored = mine[f"final_{name}"].values
             exact = own[name].values[-1] if layers else np.array([np.nan])
-            np.testing.assert_allclose(stored[[*range(layers), -1]], exact, rtol=1e-8)
+            np.testing.assert_allclose(stored[[*range(layers), -1]], exact, rtol=1e-3)
             assert np.isnan(stored[layers:-1]).all()
             in_table = [float(row[f"{name}[{n}]"] or "nan") for n in (0, 1, 2, "body")]
             np.testing.assert_array_equal(in_table, stored)

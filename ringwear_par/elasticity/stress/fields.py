@@ -1,7 +1,6 @@
 """What is known of stresses in the bodies, after they have been computed or read."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,6 +8,9 @@ from ringwear_par.arrays import FloatArray, IntArray
 
 #: faces of a body; their numbers are stored
 FACES = ("free", "contact", "fixed", "inner_side", "outer_side", "interface")
+
+#: names of ``BoundaryFields`` that are the same at all states
+MESH_FIELDS = ("elements", "face")
 
 
 @dataclass(frozen=True)
@@ -65,76 +67,6 @@ class Largest:
     r: float
     z: float
     layer: int
-
-
-@dataclass(frozen=True)
-class Interfaces:
-    """Where the interfaces of a body are, from the contact face on; none without layers."""
-
-    #: (m,) float, mm, mid-points of their elements, the same for all, increasing
-    r: FloatArray
-    #: (i,) float, mm, their heights in the frame of the case, unworn
-    z: FloatArray
-
-
-@dataclass(frozen=True)
-class StressState:
-    """Stresses after ``step`` steps, at ``time`` (s).
-
-    Components, the last axis, are ``COMPONENTS``, in MPa.
-    """
-
-    step: int
-    time: float
-    #: (p, 6) float, NaN in layers where they are worn through
-    points: FloatArray
-    #: (nr, nz, 6) float, likewise, and NaN outside the bodies
-    grid: FloatArray
-    #: of the contact elements of lower and upper, (n, 6) float each, likewise
-    surface: tuple[FloatArray, FloatArray]
-    #: of lower and upper
-    largest: tuple[Largest, Largest]
-    #: of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN where wear
-    #: has come through to it
-    interfaces: tuple[FloatArray, FloatArray]
-    #: of lower and upper, (layers + 1,) float, the largest von Mises stress of each layer and of
-    #: the body itself; (0,) of one without
-    layers: tuple[FloatArray, FloatArray]
-
-    def without_fields(self) -> "StressState":
-        """Return the state without its grid and its faces."""
-        empty = np.empty((0, 6))
-        return replace(self, grid=np.empty((0, 0, 6)), surface=(empty, empty))
-
-    @property
-    def of_both(self) -> Largest:
-        """The largest von Mises stress of both bodies."""
-        return max(self.largest, key=lambda x: -math.inf if math.isnan(x.mises) else x.mises)
-
-
-@dataclass(frozen=True)
-class StressHistory:
-    """Stored stresses, and where they are."""
-
-    #: (p, 2) float, mm, r and z in the frame of the case
-    points: FloatArray
-    #: of each, on which side of a face or an interface it is, "" where the case names none; ()
-    #: where they are not known
-    sides: tuple[str, ...]
-    #: radii and heights of the grid, mm; none of each where there is no grid
-    grid: tuple[FloatArray, FloatArray]
-    #: mm, radius round edges in which the largest stress was not looked for
-    exclude: float
-    #: of lower and upper
-    interfaces: tuple[Interfaces, Interfaces]
-    #: those that were asked for
-    states: tuple[StressState, ...]
-
-    @property
-    def layers(self) -> tuple[int, int]:
-        """Number of layers of lower and upper, the body itself included; 0 of one without."""
-        lower, upper = (len(body.z) + 1 if len(body.z) else 0 for body in self.interfaces)
-        return lower, upper
 
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards

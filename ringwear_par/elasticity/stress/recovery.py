@@ -20,7 +20,6 @@ from ringwear_par.elasticity.sections import BODIES, Body
 from ringwear_par.elasticity.stress.fields import (
     FACES,
     BoundaryFields,
-    Interfaces,
     Largest,
     mises,
 )
@@ -92,18 +91,19 @@ class BoundaryRecovery:
             self._known[i] = at, shown
         return [self._known[i][1] for i in range(2)]
 
-    def interfaces(self) -> tuple[Interfaces, Interfaces]:
-        """Return where the interfaces of lower and upper are. Not collective."""
+    def interfaces(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Return where the interfaces of lower and upper are. Not collective.
+
+        That is (m,) mm, the radii of mid-points of their elements, the same for all, increasing;
+        and (i,) mm, their heights, unworn, from the contact face on. Both are empty without layers.
+        """
         found = []
-        for body, which, plane in zip(self._bodies, BODIES, self._planes, strict=True):
+        for body, plane, upward in zip(self._bodies, self._planes, (1.0, -1.0), strict=True):
             zones = zone_meshes(body.section, self.line, self._mesh, fine=self._fine)
             middles = [zone.nodes[zone.elements[zone.below, 1]] for zone in zones[:-1]]
-            upward = 1.0 if which == "lower" else -1.0
             heights = [plane + upward * middle[0, 1] for middle in middles]
-            found.append(
-                Interfaces(middles[0][:, 0] if middles else np.empty(0), np.array(heights))
-            )
-        return found[0], found[1]
+            found.append((middles[0][:, 0] if middles else np.empty(0), np.array(heights)))
+        return found
 
     def fields(
         self,
@@ -197,7 +197,7 @@ class BodyStress(NamedTuple):
     surface: FloatArray
     #: the largest von Mises stress outside the radius round edges
     largest: Largest
-    #: (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``
+    #: (i, 2, m, 6) float, MPa, above and below each interface
     interfaces: FloatArray
     #: (layers + 1,) float, MPa, that in each layer and in the body itself; (0,) without
     layers: FloatArray

@@ -205,12 +205,6 @@ def _read_design_space(
     vary.finish()
     if all(key in ranges for key in _LOADS):
         vary.fault("load.pressure and load.force: only one of them may vary")
-    if "load.steps" in ranges and not any(key in ranges for key in _LOADS):
-        vary.wrong(
-            "load.steps",
-            "needs load.pressure or load.force beside it, the range of the loads",
-            "conflict",
-        )
     limits = TableReader(f"{place}.budget", budget, faults, schema.BUDGET)
     seconds, count = limits.read("time.end"), limits.read("experiments")
     limits.finish()

@@ -37,8 +37,6 @@ INPUT_KEYS, FEWEST_READINGS = (
 )  # fmt: skip
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
-#: most loads, and most profiles, of a next test
-COUNTS = {"load.steps": 4, "profiles": 4}
 _MOST_EXPERIMENTS, _MOST_READINGS = 6, 100_000
 
 
@@ -133,12 +131,6 @@ _VARIED = {
     "load.force": ("N", "axial force, instead of the mean pressure"),
     "load.omega": ("rad/s", "angular speed"),
     "time.end": ("s", "duration"),
-    "load.steps": ("-", "number of increasing load steps of equal duration in one test"),
-    "profiles": (
-        "-",
-        "number of profiles measured in one test; at equal intervals, or at profile.at",
-    ),
-    "profile.at": ("1", "instants of the profiles, as parts of the duration"),
 }
 
 
@@ -148,24 +140,18 @@ def _quantities_with(kind: str) -> str:
     )
 
 
-def _range_of(name: str) -> Values:
-    """Return the ranges of a key that varies between next tests."""
-    most = COUNTS.get(name)
-    rule = "above 0" if most is None else f"whole, from 1 to {most}"
-    if name == "profile.at":
-        rule = "above 0 and at most 1, parts of the test"
+def _range() -> Values:
+    """Return the ranges of keys that vary between next tests."""
 
     def read(value: Any) -> tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2 or not all(map(is_finite, value)):
             raise RejectedError
         low, high = map(float, value)
-        if not 0.0 < low <= high or (name == "profile.at" and high > 1.0):
-            raise RejectedError
-        if most is not None and not (low.is_integer() and high.is_integer() and high <= most):
+        if not 0.0 < low <= high:
             raise RejectedError
         return low, high
 
-    return Values("any", read, f"[lowest, highest], two numbers, {rule}")
+    return Values("any", read, "[lowest, highest], two numbers, above 0")
 
 
 KEYS: tuple[Key, ...] = (
@@ -352,7 +338,7 @@ KEYS: tuple[Key, ...] = (
     Key("design.criterion", *one_of(*get_args(Criterion)), "-",
         "criterion for the next tests: D, smallest volume of the confidence ellipsoid; A, smallest "
         "mean variance, in widths of the bounds", _SPACE.criterion),
-    *(Key(f"design.vary.{name}", *_range_of(name), unit, meaning, None)
+    *(Key(f"design.vary.{name}", *_range(), unit, meaning, None)
       for name, (unit, meaning) in _VARIED.items()),
     Key("design.budget.time.end", *number(0.0), "s", "total duration of the next tests", None),
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",

@@ -1,36 +1,112 @@
-"""What is known of the fitted keys before the next tests, and what each test would tell of them.
+"""Tests that could be made, by ``[design]``, and what each would tell of the fitted keys.
 
 The information of a test about the unknowns is J' C^-1 J: J by differences of histories, C of all
 noise, nuisances projected out. A test of a new specimen tells less of a material that scatters.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.units import factor
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
+    DesignSpace,
     Experiment,
     Loss,
     Problem,
+    Series,
     body_of_wear,
 )
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.key_estimates import prior_sd
-from ringwear_par.identification.likelihood import Growth, Noise, Setting
-from ringwear_par.identification.noise import STUDENT
+from ringwear_par.identification.key_estimates import VAGUE, prior_sd
+from ringwear_par.identification.noise import STUDENT, Growth, Noise, Setting
 from ringwear_par.identification.sampling import standardised
 from ringwear_par.identification.setting import random_wear
+from ringwear_par.results.key_numbers import time_words
 
+#: keys of the load, of which one may vary
+LOADS = ("load.pressure", "load.force")
+#: how many values of a range are tried
+_LEVELS = {"load.omega": 3, "load.pressure": 15, "load.force": 15, "time.end": 10}
+#: fewest readings over time of a record, which continues at its rate in a longer test
+_RECORD = 10
 #: draws at which readings are compared, and of priors from which these are chosen
 _DRAWS, _MANY = 6, 512
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One test that could be made."""
+
+    #: of the case, those that vary
+    keys: Mapping[str, float]
+    #: its case, and when it is read
+    experiment: Experiment
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        return self.experiment.case.time.end
+
+    @property
+    def kind(self) -> tuple[float, ...]:
+        """What differs first: the load, or speed and duration where it does not vary."""
+        loads = tuple(self.keys[key] for key in LOADS if key in self.keys)
+        return loads or (self.keys.get("load.omega", 0.0), self.seconds)
+
+    def name(self, space: DesignSpace) -> str:
+        """Return the test in a few words, in the units in which ranges are written."""
+        words = []
+        for key in (*LOADS, "load.omega", "time.end"):
+            base = BY_PATH[key].unit
+            unit = space.units.get(key, "" if key == "time.end" else base)
+            if not unit:
+                words.append(time_words(self.seconds, self.seconds))
+            elif key in self.keys or key == "time.end":
+                value = self.keys.get(key, self.seconds)
+                words.append(f"{value / factor(unit, base):.4g} {unit}")
+        return ", ".join(words)
+
+
+def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
+    """Return the tests of a space, measured as ``template``; InputError for impossible values.
+
+    Records go on at their rate, with their median noise; profiles are measured at the end, that of
+    a body as its last one in the file; all else is read at its part of the test.
+    """
+    usual, tests = template.case.time.end, list[Candidate]()
+    read = {s.quantity if s.profile else s.name: s for s in template.series}
+    varied = [key for key in _LEVELS if key in space.ranges]
+    levels = (np.unique(np.linspace(*space.ranges[key], _LEVELS[key])).tolist() for key in varied)
+    for values in itertools.product(*levels):
+        keys = dict(zip(varied, values, strict=True))
+        if (end := keys.get("time.end", usual)) <= space.time_limit:
+            series = tuple(_scaled(s, end, end / usual) for s in read.values())
+            name, case = f"candidate {len(tests) + 1}", template.case.replace(keys)
+            tests.append(Candidate(keys, Experiment(name, case, series)))
+    return tests
+
+
+def _scaled(series: Series, end: float, longer: float) -> Series:
+    """Return the readings of a test that ends at ``end``, longer by a factor."""
+    if series.profile:
+        return replace(series, at=end)
+    if series.n < _RECORD:
+        return replace(series, x=series.x * longer)
+    count = max(round(series.n * longer), 2)
+    x = longer * np.linspace(series.x[0], series.x[-1], count)
+    sd = np.full(count, np.median(series.sd))
+    return replace(series, x=x, value=np.zeros(count), sd=sd, lines=None, censored=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +120,30 @@ class Before:
     draws: FloatArray
     #: (m, m) of the unknowns
     covariance: FloatArray
+    #: (m,) sd of unknowns above which a key is not identified; infinite where a prior or a fit
+    #: says more of it than its bounds
+    vague: FloatArray
     #: (m,) variances of the unknowns between specimens
     scatter: FloatArray
     #: (bodies,) mm, sizes of random wear; NaN where a share is expected
     sizes: FloatArray
-    #: (m,) whether nothing is known but bounds
-    unknown: BoolArray
+
+    def then(self, information: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is known with information (..., d, m, m) at each of the draws.
+
+        How much the logarithm of the ellipsoid becomes smaller (...), the mean of the draws, and
+        standard deviations (..., m) of unknowns, of their mean variance.
+        """
+        before = np.linalg.inv(self.covariance)
+        precision = before + information
+        gain = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(before)[1]
+        covariance = np.linalg.inv(precision).mean(axis=-3)
+        return 0.5 * gain.mean(axis=-1), np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+
+    def sd_of_values(self, information: FloatArray) -> FloatArray:
+        """Return standard deviations (..., m) of values, infinite: not identified."""
+        _, sd = self.then(information)
+        return np.where(sd > self.vague, np.inf, sd * self.slopes)
 
 
 def before_tests(problem: Problem, folder: Path | None) -> Before:
@@ -58,16 +152,16 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
     InputError where the folder is not that of a fit of the same keys.
     """
     parameters, process = problem.parameters, problem.settings.process
-    unknown = np.array([folder is None and p.prior is None for p in parameters])
-    variances = {p.key: p.scatter.variance if p.scatter else 0.0 for p in parameters}
-    sizes = [np.nan if noise.size is None else noise.size for noise in process.values()]
+    scatter = np.array([p.scatter.variance if p.scatter else 0.0 for p in parameters])
     low, high = problem.unknown_bounds
     if folder is None:
+        sizes = [np.nan if noise.size is None else noise.size for noise in process.values()]
         means = [p.start if p.prior is None else p.prior.mean for p in parameters]
         x = problem.unknowns(np.clip(means, *np.array([p.bounds for p in parameters]).T))
         sd = np.array([prior_sd(p) for p in parameters])
-        normal = np.random.default_rng(0).standard_normal((_MANY, len(x)))
-        material, covariance = x + normal * sd * ~unknown, np.diag(sd**2)
+        known = np.array([p.prior is not None for p in parameters])
+        vague, covariance = np.where(known, np.inf, VAGUE * sd), np.diag(sd**2)
+        material = x + np.random.default_rng(0).standard_normal((_MANY, len(x))) * sd * known
     else:
         draws = read_draws(folder / POSTERIOR)
         if sorted(draws.keys) != sorted(problem.keys):
@@ -75,21 +169,18 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
                 f"--after {folder / POSTERIOR}: keys = {shortened([*draws.keys])}: must be those "
                 f"of {problem.name}, {', '.join(problem.keys)}"
             )
-        order = [draws.keys.index(key) for key in problem.keys]
-        values = draws.values(draws.material)[:, order]
+        values = draws.values(draws.material)[:, [draws.keys.index(key) for key in problem.keys]]
         material = np.array([problem.unknowns(row) for row in values])
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
-        variances |= dict.fromkeys([key for key, _ in draws.scatter], 0.0)
-        for (key, _), tau in draws.scatter.items():
-            variances[key] += float(np.median(tau)) ** 2
+        vague = np.full(len(x), np.inf)
+        for j, key in enumerate(problem.keys):
+            found = [np.median(tau) ** 2 for (of, _), tau in draws.scatter.items() if of == key]
+            scatter[j] = sum(found) if found else scatter[j]
         sizes = [np.median(draws.process[:, BODIES.index(body_of_wear(key))]) for key in process]
     at = problem.values(x)
     slopes = np.array([p.slope(v) for p, v in zip(parameters, at, strict=True)])
     chosen = _along(np.clip(material, low, high))
-    return Before(
-        at, slopes, chosen, covariance, np.array([*variances.values()]),
-        np.array(sizes, dtype=float), unknown,
-    )  # fmt: skip
+    return Before(at, slopes, chosen, covariance, vague, scatter, np.array(sizes, dtype=float))
 
 
 def _along(material: FloatArray) -> FloatArray:
@@ -102,61 +193,50 @@ def _along(material: FloatArray) -> FloatArray:
     return material[np.argsort(scaled @ longest, kind="stable")[places]]
 
 
-def informations(
-    readings: Readings, before: Before, existing: int, parts: Sequence[tuple[int, Sequence[int]]]
-) -> FloatArray:
-    """Return the information (tests, d, m, m) about the material; NaN where there is no history.
+def informations(readings: Readings, before: Before) -> FloatArray:
+    """Return what each test tells of the material, (tests, d, m, m); NaN without a history.
 
     On the first rank, within ``readings.lead``.
-
-    Parameters
-    ----------
-    existing : number of tests of the fit file, which are the first ones: shares of random wear are
-        of the largest depth of these.
-    parts : number of the test and of those of its series that are read, of each wanted.
     """
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
     _, slopes = readings.with_slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
     expected = [noise.expected_share for noise in problem.settings.process.values()]
-    deepest = [max(test[i][1].max() for test in clocks[:existing]) for i in range(len(depths))]
     of_sizes = np.sqrt(before.sizes / depths)
-    shares = np.where(np.isnan(of_sizes), expected * np.sqrt(deepest), of_sizes)
-    every = np.full((len(parts), d, m, m), np.nan)
-    for matrices, (number, series) in zip(every, parts, strict=True):
-        test = tests[number]
-        if np.isfinite(slopes[number]).all():
-            setting = replace(Setting.before(test), clocks=tuple(clocks[number]))
+    shares = np.where(np.isnan(of_sizes), expected, of_sizes)
+    every = np.full((len(tests), d, m, m), np.nan)
+    for matrices, test, slope, of_test in zip(every, tests, slopes, clocks, strict=True):
+        if np.isfinite(slope).all():
+            setting = replace(Setting.before(test), clocks=tuple(of_test))
             matrices[:] = information(
-                test, series, setting, shares, slopes[number], problem.settings.loss, before.scatter
+                test, setting, shares, slope, problem.settings.loss, before.scatter
             )
     return every
 
 
 def information(
     test: Experiment,
-    numbers: Sequence[int],
     setting: Setting,
     shares: FloatArray,
     slopes: FloatArray,
     loss: Loss,
     scatter: FloatArray,
 ) -> FloatArray:
-    """Return the information (d, m, m) on the material in some series of a test of one specimen.
+    """Return the information (d, m, m) on the material in the readings of a test of one specimen.
 
     Of a thermal growth the amplitude is unknown, its time as expected.
 
     Parameters
     ----------
     shares : (bodies,) of random wear.
-    slopes : (n, d, m) derivatives of all readings of the test.
+    slopes : (n, d, m) derivatives of the readings.
     scatter : (m,) variances of the specimen's own values about the material's.
     """
-    sd = np.concatenate([series.sd for series in test.series])
+    sd, every = np.concatenate([series.sd for series in test.series]), range(len(test.series))
     setting = replace(setting, sd=sd / np.sqrt(STUDENT if loss == "student" else 1.0))
-    noise = Noise(test, numbers, setting, shares)
+    noise = Noise(test, every, setting, shares)
     rows = noise(slopes[noise.rows].reshape(len(noise.rows), -1))
-    grown = Growth(test, numbers, setting, noise)
+    grown = Growth(test, every, noise)
     times = [time.expected for i in grown.series if (time := test.series[i].growth_time)]
     node = int(np.abs(np.log(grown.times / times)).sum(axis=1).argmin())
     taken = grown.directions(rows, np.zeros(rows.shape[1]))[node]

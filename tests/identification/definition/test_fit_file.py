@@ -90,7 +90,7 @@ def test_every_key(tmp_path):
     assert torque.sd == pytest.approx([210.0, 210.0, 220.0])  # of their running median
     assert low.case.time.end == high.case.time.end == 100.0
     assert low.case.time.adaptive
-    assert low.case.wear_lower.p0 == 0.0
+    assert low.case.wear_lower.values["p0"] == 0.0
     assert problem.settings.level == 0.9
     assert problem.alternatives["archard"].keys == ("wear.lower.k",)
     assert len(problem.hashes) == 3
