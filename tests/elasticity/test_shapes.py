@@ -41,9 +41,9 @@ def test_chamfers_come_into_contact_as_wear_proceeds():
     assert reach[-1] < 28.6 - 5e-3
     assert (np.diff(reach) <= 0).all()
     worst = history.balances
-    assert worst["force"] <= 1e-10
-    assert 0 < worst["energy"] <= 1e-10
-    assert max(worst["torque"], worst["reaction"]) <= 1e-4
+    assert worst.force <= 1e-10
+    assert 0 < worst.energy <= 1e-10
+    assert max(worst.torque, worst.reaction) <= 1e-4
     gap = states[-1].gap
     assert gap.min() > -1e-9
     assert np.abs(gap[states[-1].pressure > 0]).max() < 1e-9
@@ -62,9 +62,9 @@ def test_partly_overlapping_rings():
     outer = p[case.line.edges[-1] - line.r < 0.05]
     assert np.all((outer > 0.4 * 80.0) & (outer < 0.55 * 80.0))
     assert np.abs(np.diff(outer) / outer[1:]).max() < 0.12
-    assert history.balances["force"] <= 1e-9
-    assert history.balances["residual"] <= 1e-8
-    assert max(history.balances["torque"], history.balances["reaction"]) <= 1e-4
+    assert history.balances.force <= 1e-9
+    assert history.balances.residual <= 1e-8
+    assert max(history.balances.torque, history.balances.reaction) <= 1e-4
 
 
 def test_a_sphere_wears_where_it_slides():
@@ -81,8 +81,8 @@ def test_a_sphere_wears_where_it_slides():
     assert line.edges[1:][inside].max() > touching
     assert wear[0] < wear.max()
     assert not wear[~inside].any()
-    assert history.balances["force"] <= 1e-9
-    assert history.balances["residual"] <= 1e-8
+    assert history.balances.force <= 1e-9
+    assert history.balances.residual <= 1e-8
 
 
 def test_clearance_is_closed_before_there_is_pressure():
