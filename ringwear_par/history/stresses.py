@@ -11,9 +11,9 @@ from ringwear_par.cases.case import SAME_TIME, Case, Side
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import MESH_FIELDS, mises
-from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery, interfaces
+from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS
-from ringwear_par.history.elastic import bodies, boundary_recovery, operator_key
+from ringwear_par.history.elastic import boundary_recovery, operator_key
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
 #: infinite there; and these elements
@@ -125,13 +125,10 @@ class CaseStresses:
                 np.concatenate([sides[of_body], np.zeros(len(grid))]),
             )
 
-        both, planes = bodies(case), (case.lower.z[1], case.upper.z[0])
-        self._recovery = StressRecovery(
-            both, case.line, case.mesh, planes, (of(0), of(1)), case.stress.exclude, comm
-        )
+        boundaries = boundary_recovery(case, comm, fine=True)
+        self._recovery = StressRecovery(boundaries, (of(0), of(1)), case.stress.exclude)
         where: dict[str, Any] = {"grid_r": axes[0], "grid_z": axes[1]}
-        for body, sections, plane in zip(BODIES, both, planes, strict=True):
-            r, z = interfaces(sections, case.line, case.mesh, body, plane)
+        for body, (r, z) in zip(BODIES, boundaries.interfaces(), strict=True):
             where |= {f"interface_r_{body}": r, f"interface_z_{body}": z}
         where |= {"point_r": points[:, 0], "point_z": points[:, 1], "point_side": names}
         #: arrays by name that are the same at all states, see ``results.variables``

@@ -251,11 +251,12 @@ class Recorder:
         Of several histories, those of one in the mean.
         """
         assert self.last is not None
-        costs = [] if self._pair_is_shared else [block.line.pairs[0].cost]
+        elastic = np.zeros(2)
+        if not self._pair_is_shared:
+            elastic += block.line.pairs[0].seconds
         if self.last.following is not None:
-            costs.append(self.last.following.cost)
-        assembly = sum(cost.seconds_assembly for cost in costs)
-        solution = sum(cost.seconds_solution for cost in costs)
+            elastic += self.last.following.seconds
+        assembly, solution = elastic.tolist()
         stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
         seconds = {
             "seconds_assembly": assembly,
