@@ -127,6 +127,8 @@ def simulate(
         if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
             rows = np.flatnonzero(going)
             block, solver, state, limit, going = take((block, solver, state, limit, going), rows)
+            if isinstance(solver, TaoContact):  # no dataclass, which ``take`` would cut
+                solver = solver.with_compliance(block.compliance)
         if following is not None:
             assert isinstance(solver, TaoContact)
             block, solver, state = following.follow(block, solver, state)

@@ -163,7 +163,7 @@ def running_in(
 
 def no_wear(p: FloatArray, at: LocalState) -> Values:
     """Nothing wears."""
-    return np.zeros_like(p), np.zeros_like(p)
+    return 0.0 * at.speed * p, 0.0 * at.speed
 
 
 @dataclass(frozen=True)

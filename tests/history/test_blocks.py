@@ -49,7 +49,8 @@ COMPANIES = {
                           (1e-8, 1e-7)]),
     "distance": (EXPLICIT, [law("running-in", k=1e-8, k_start=3e-8, distance=x) for x in
                             (100.0, 300.0)]),
-    "non-local": ({}, [law("non-local", k=k, p0=10.0, length=0.3) for k in (1e-8, 1e-7)]),
+    "non-local": ({}, [{**law("non-local", k=k, p0=10.0, length=0.3), "lower.young": young}
+                       for k, young in ((1e-8, 3e3), (1e-7, 10e3), (4e-7, 30e3))]),
     "no wear": ({"wear.lower": None}, [{"load.pressure": p} for p in (20.0, 90.0)]),
     "forces in time": ({}, [{"load.pressure": [[0.0, p], [20.0, p], [21.0, x * p], [60.0, p]]}
                             for p, x in ((80.0, 0.2), (40.0, 1.5), (80.0, 0.0))]),
