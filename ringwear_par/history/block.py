@@ -60,6 +60,8 @@ class Block:
     given_steps: bool
     #: (w, B, m) factors on the rates of wear in the steps to each limit; None: 1
     paces: FloatArray | None
+    #: (w, B, 1) those of the present steps
+    pace: FloatArray | None = None
 
     @classmethod
     def of(
@@ -143,9 +145,8 @@ class Block:
         sliding: tuple[FloatArray, FloatArray],
         wear: FloatArray,
         step: FloatArray,
-        pace: FloatArray | None = None,
     ) -> StepWear:
-        """Return the wear of an implicit step, see ``StepWear``.
+        """Return the wear of an implicit step at the present pace, see ``StepWear``.
 
         Parameters
         ----------
@@ -156,7 +157,7 @@ class Block:
         at = LocalState(
             time[:, None], r, speed, friction[:, None], speed, slid, number=self.number[:, None]
         )
-        return StepWear(self.wearing, layer, at, wear, step, self.line.obliquity, pace)
+        return StepWear(self.wearing, layer, at, wear, step, self.line.obliquity, self.pace)
 
     def sliding(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return speeds (rad/s) and coefficients of friction at times, (B,)."""

@@ -30,7 +30,7 @@ from ringwear_par.history.failures import (
 )
 from ringwear_par.history.following import Following
 from ringwear_par.history.layers import enter_layers, settled
-from ringwear_par.history.schemes import Scheme, Solver, explicit, implicit, sdirk2, start
+from ringwear_par.history.schemes import BY_NAME, Solver, start
 from ringwear_par.history.state import State
 from ringwear_par.options import contact_solver
 from ringwear_par.parallel import as_on_first_rank, on_any_rank
@@ -41,8 +41,6 @@ _GAP = 0.2
 _IDLE = 0.125
 #: fewest elements of which ranks share the contact of one history
 _SHARED = 512
-#: schemes by their name in cases
-_SCHEMES: Mapping[str, Scheme] = {"adaptive": sdirk2, "implicit": implicit, "explicit": explicit}
 
 
 def _deepest(block: Block, state: State, body: int) -> FloatArray:
@@ -103,7 +101,7 @@ def simulate(
                 block, save, solver=tao, first=first, following=following, every=every, comm=comm
             )
     case = block.cases.every[0]
-    scheme = _SCHEMES[case.time.scheme]
+    scheme = BY_NAME[case.time.scheme]
     share = step_share(block) if not block.given_steps else None
     solver = solver or BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
     forget_faults(block)
@@ -135,8 +133,9 @@ def simulate(
             if share is not None:
                 state = replace(state, length=_meshed_length(block, state))
         end, is_cut = as_on_first_rank(comm, next_ends(block, state, limit, going))
-        pace = None if block.paces is None else block.paces[:, np.arange(len(block)), limit]
-        step = scheme(block, solver, state, end, pace)
+        if block.paces is not None:
+            block = replace(block, pace=block.paces[:, np.arange(len(block)), limit, None])
+        step = scheme(block, solver, state, end)
         if block.layered:
             step = enter_layers(block, state, step)
         step = replace(step, failed=on_any_rank(comm, step.failed))

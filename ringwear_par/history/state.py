@@ -18,7 +18,7 @@ class State:
     time: FloatArray
     energy: FloatArray
     normal_work: FloatArray
-    #: (w, B, n) mm and mm/s along the axis, of the bodies that wear; rates are those at pace 1
+    #: (w, B, n) mm and mm/s along the axis, of the bodies that wear
     wear: FloatArray
     rates: FloatArray
     #: (w, B, n) layers that elements are in, 0 at the unworn face

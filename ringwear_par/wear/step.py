@@ -63,7 +63,7 @@ class StepWear:
     wear : (w, B, n) mm, along the axis, before it.
     step : (B,) s.
     obliquity : (n,) 1 / cos alpha of sloping faces; None: flat ones.
-    pace : (w, B) factors on the rates in the step; None: 1.
+    pace : (w, B, 1) factors on the rates in the step; None: 1.
     """
 
     def __init__(
@@ -78,9 +78,7 @@ class StepWear:
     ) -> None:
         self._wearing, self._layer, self._at, self._wear = wearing, layer, at, wear
         self._obliquity = obliquity
-        ones = np.ones((len(wearing), len(step)))
-        #: (w, B, 1) s
-        self._steps = (step * (ones if pace is None else pace))[..., None]
+        self._step, self._pace = step[:, None], pace
         #: whether the wear of an element depends on its own pressure alone
         self.is_local = all(body.average is None for body in wearing)
         #: whether lines hold at all pressures
@@ -104,7 +102,7 @@ class StepWear:
     def depths(self, p: FloatArray) -> FloatArray:
         """Return what bodies lose along the axis, (w, B, n) mm, at pressures (B, n)."""
         if not self.is_local:
-            return self._steps * self.rates(p)
+            return self._step * self.rates(p)
         const, slope = self.lines(p)
         return np.maximum(const + slope * p, 0.0)
 
@@ -131,7 +129,7 @@ class StepWear:
             return np.maximum(line, 0.0).sum(axis=0)[0], (slope * wears).sum(axis=0)[0]
         depth, slopes = np.zeros_like(p), np.zeros((len(p), len(p)))
         for i, body in enumerate(self._wearing):
-            step = self._steps[i, row, 0]
+            step = self._step[row, 0]
             matrix = np.eye(len(p)) if body.average is None else body.average.matrix
             rate, slope = self._averaged(i, matrix, p[None], rows)
             depth += step * rate[0]
@@ -152,8 +150,8 @@ class StepWear:
 
     def _lines(self, p: FloatArray, rows: IntArray | None) -> tuple[FloatArray, FloatArray]:
         consts, slopes = [], []
+        step = self._step if rows is None else self._step[rows]
         for i, body in enumerate(self._wearing):
-            step = self._steps[i] if rows is None else self._steps[i, rows]
             if any(body.remember):
                 depth, slope = self._settled(i, body, p, rows, step)
             else:
@@ -219,6 +217,9 @@ class StepWear:
                 new = tuple(np.where(here, a, b) for a, b in zip(new, values, strict=True))
             values = new
         assert values is not None
+        if self._pace is not None:
+            pace = self._pace[i] if rows is None else self._pace[i, rows]
+            values = tuple(pace * value for value in values)
         return values if secant is None else (secant * values[0], secant * values[1], *values[2:])
 
     def _values(

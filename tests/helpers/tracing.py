@@ -46,7 +46,7 @@ class History:
     @property
     def balances(self):
         """Their largest defects."""
-        return self.worst.balances(0)
+        return SimpleNamespace(**self.worst.balances(0))
 
     @property
     def times(self):
