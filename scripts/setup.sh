@@ -21,7 +21,7 @@ ringwear_setup() {
         echo "import glob, sys; sys.path += sorted(glob.glob('/usr/lib/petscdir/petsc3*/*-real/lib/python3/dist-packages'))[-1:]" \
             > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/debian-petsc.pth"
     fi
-    if [ -n "$(find "$top"/{pyproject.toml,setup.py,ringwear_par/elasticity/_rings.{h,pyx}} -newer "$venv/made" 2>&1)" ]; then
+    if [ -n "$(find "$top"/{pyproject.toml,setup.py,ringwear_par/{elasticity/_rings,contact/_rows}.{h,pyx}} -newer "$venv/made" 2>&1)" ]; then
         echo "ringwear setup: Python packages into $venv, a minute or two" >&2
         # petsc4py and scipy of Debian 12 are built for numpy 1
         case "$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)')" in 1.*) numpy="numpy<2" ;; esac

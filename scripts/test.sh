@@ -10,8 +10,6 @@ unset PYTHONDONTWRITEBYTECODE
 ruff check .
 ruff format --check .
 lint-imports --no-cache
-# first of all, as it compiles what many processes would want at the same time
-ringwear verify > /dev/null
 log="$(mktemp -d)"
 # beside the tests, many of which wait for programs
 { mypy && bash scripts/docs.sh; } > "$log/site" 2>&1 &

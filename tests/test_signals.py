@@ -53,7 +53,7 @@ def wait_for(condition, process):
 def test_a_run_that_is_stopped_goes_on_as_if_it_had_not_been(tmp_path, ranks, number):
     (tmp_path / "case").mkdir()
     waiting = Waiting(tmp_path / "case")
-    waiting.hold(0.05)  # mpirun kills a second after its signal
+    waiting.hold(0.01)  # mpirun kills a second after its signal
     words = ["run", waiting.case, "-o", "a.h5"]
     with started(*words, ranks=ranks, cwd=tmp_path) as process:
         wait_for(lambda: waiting.waits == (ranks or 1), process)

@@ -96,9 +96,12 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     Parameters
     ----------
     case : a good one of them.
-    numbers : of all cases, (cases,), all of them right by themselves.
+    numbers : of all cases, (cases,).
     """
     refused = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
+    for number, values in numbers.items():
+        if (interval := interval_of(number)) is not None:
+            refused |= ~interval.holds(values)
     if any(law is not None and law.code is not None for law in case.laws_by_table.values()):
         return ~refused  # their functions are tried
     ends = numbers.get(("time.end", None))

@@ -40,7 +40,7 @@ _GAP = 0.2
 #: share of the histories that have ended and yet step along
 _IDLE = 0.125
 #: fewest elements of which ranks share the contact of one history
-_SHARED = 512
+SHARED = 512
 
 
 def _deepest(block: Block, state: State, body: int) -> FloatArray:
@@ -210,7 +210,7 @@ def simulate_one(
         failures = simulate(block, save, first=first, every=every, comm=comm)
     else:
         # rows of small systems are not worth messages
-        own = comm if case.line.n >= _SHARED else MPI.COMM_SELF
+        own = comm if case.line.n >= SHARED else MPI.COMM_SELF
         with TaoContact(block.compliance, block.by_force, own) as solver:
             failures = simulate(
                 block, save, solver=solver, first=first, following=following, every=every,

@@ -8,7 +8,6 @@ alone, so that ranks cannot part ways; the others serve it until it is done.
 import itertools
 import math
 import pickle
-from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing
 from typing import TypeVar
@@ -199,37 +198,29 @@ class Readings:
         readers = {test: Reader(experiment) for test, experiment in tests.items()}
         grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
         rows: dict[int, Row] = {}
-        before, self._pairs = self._pairs, {**self._kept}
-        groups: dict[Hashable, list[tuple[int, Case]]] = defaultdict(list)
+        found: dict[int, Any] = {}
         for test, experiment in tests.items():
             numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
             points = np.array([entries[i][1] for i in numbers])
-            cases = cases_at(experiment.case, self._keys, points)
-            for i, case in zip(numbers, cases, strict=True):
-                try:
-                    if isinstance(case, HistoryError):
-                        raise case
-                    key = operator_key(case)
-                    if key not in self._pairs:
-                        self._pairs[key] = before.get(key) or assemble(case, MPI.COMM_SELF)
-                    groups[operator_key(experiment.case)].append((i, case))
-                except ComputationError as error:
-                    rows[i] = error
-        for group in groups.values():
-            owners = [entries[i][0] for i, _ in group]
-            pairs = [self._pairs[operator_key(case)] for _, case in group]
-            paces = [np.repeat(np.array([factors]).T, len(grids[o]), axis=1) for o in owners]
-            for part in computed(
-                [case for _, case in group], pairs, results=True,
-                step_times=[grids[test].tolist() for test in owners],
-                paces=None if factors == (1.0, 1.0) else paces,
-            ):  # fmt: skip
-                for place, result in zip(part.numbers, part.results(), strict=True):
-                    i, case = group[place]
-                    if isinstance(result, Result):
-                        rows[i] = readers[owners[place]].read(trajectory(result, case))
-                    else:
-                        rows[i] = HistoryError(reason_of(result))
+            found |= zip(numbers, cases_at(experiment.case, self._keys, points), strict=True)
+        owners = [entries[i][0] for i in found]
+        paces = [np.repeat(np.array([factors]).T, len(grids[test]), axis=1) for test in owners]
+        parts, failed = computed(
+            [*found.values()], self._pairs, results=True,
+            step_times=[grids[test].tolist() for test in owners],
+            paces=None if factors == (1.0, 1.0) else paces,
+        )  # fmt: skip
+        used = {operator_key(case) for case in found.values() if isinstance(case, Case)}
+        self._pairs = {k: pair for k, pair in self._pairs.items() if k in used | {*self._kept}}
+        numbers, results = [*found], {**failed}
+        for part in parts:
+            results |= part.results()
+        for place, result in results.items():
+            i = numbers[place]
+            if isinstance(result, Result):
+                rows[i] = readers[entries[i][0]].read(trajectory(result, found[i]))
+            else:
+                rows[i] = HistoryError(reason_of(result))
         return [rows[i] for i in range(len(entries))]
 
     def with_slopes(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:

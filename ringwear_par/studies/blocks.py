@@ -12,7 +12,7 @@ an array are all the same; each ends when all blocks are there.
 import fcntl
 import logging
 import time
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,8 +27,6 @@ log = logging.getLogger(__name__)
 
 #: folder of the blocks, in that of the sweep
 FOLDER = "blocks"
-#: most states of a chunk
-_STATES = 32
 #: s, between two looks whether others have ended, while they are at work on the last blocks
 _SHORTEST_NAP, _LONGEST_NAP = 0.01, 2.0
 
@@ -41,9 +39,6 @@ class Block:
     path: Path
     #: of the cases in the study
     numbers: IntArray
-    #: lengths of a chunk of stored arrays by axis, the same for all blocks of a study; that of
-    #: "case" is the largest one
-    chunk: Mapping[str, int]
 
 
 def blocks_of(study: Study, folder: Path) -> list[Block]:
@@ -53,17 +48,8 @@ def blocks_of(study: Study, folder: Path) -> list[Block]:
     n = elements / 318.0  # to which the seconds are: all pairs of elements, and their factors
     assembly = 0.03 + 0.04 * n**2 + 0.006 * n**3
     most = most_together(first, assembly * (study.shapes.max() + 1) / len(study))
-    size = 1 << (most.bit_length() - 1)  # of which chunks are a whole part
-    chunk = {
-        "case": min(size, len(study)),
-        "step": int(np.clip(first.stored_rows, 1, _STATES)),
-        "element": first.line.n,
-        "layer": len(first.lower.layers) + 1,
-        "layer_upper": len(first.upper.layers) + 1,
-        "point": max(1, len(first.stress.points)) if first.stress else 1,
-    }
-    parts = np.split(study.order, range(size, len(study), size))
-    return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part, chunk) for part in parts]
+    parts = np.split(study.order, range(most, len(study), most))
+    return [Block(folder / FOLDER / f"{study.digest(part)}.h5", part) for part in parts]
 
 
 def there(blocks: Iterable[Block]) -> int:

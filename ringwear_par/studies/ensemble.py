@@ -5,7 +5,6 @@ show and surrogates answer for.
 """
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -113,7 +112,6 @@ def has_layers(variable: Variable) -> bool:
 MAIN_END_VALUES = ("penetration", "worn_volume_lower", "worn_volume_upper")
 #: the variable that is finite at the states with stress
 STRESS_STATES = "max_mises"
-_ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
 
 
 @dataclass(frozen=True)
@@ -188,8 +186,8 @@ VARIABLES = {
 
 def end_value_of(name: str) -> tuple[EndValue, str]:
     """Return the end value that a column is of, and its entry, "" where it has but one."""
-    match = _ENTRY.fullmatch(name)
-    return (END_VALUES[match[1]], match[2]) if match else (END_VALUES[name], "")
+    source, _, entry = name.partition("[")
+    return END_VALUES[source], entry.removesuffix("]")
 
 
 def entries(end_value: EndValue, values: FloatArray) -> dict[str, FloatArray]:

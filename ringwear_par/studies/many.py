@@ -16,7 +16,7 @@ from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.studies.together import computed_with_pairs, most_together
+from ringwear_par.studies.together import computed, most_together, some
 from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
@@ -101,18 +101,16 @@ def results_of(
 
     def computed_block(numbers: Sequence[int]) -> list[Result | FailedResult]:
         """Return the results of cases of a contact pair, by this rank alone."""
-        parts, errors = computed_with_pairs(
-            [_checked(cases[n]) for n in numbers], pairs, MPI.COMM_SELF, results=True,
-            step_times=None if step_times is None else [step_times[n] for n in numbers],
-            paces=None if paces is None else [paces[n] for n in numbers],
+        for key in [*pairs][:-1]:  # blocks of the last one may follow
+            del pairs[key]
+        parts, errors = computed(
+            [_checked(cases[n]) for n in numbers], pairs, results=True,
+            step_times=some(step_times, numbers), paces=some(paces, numbers),
         )  # fmt: skip
         results: dict[int, Result | Exception] = {**errors}
         for part in parts:
-            results.update(zip(part.numbers, part.results(), strict=True))
-        return [
-            _failed(cases[number], result) if isinstance(result, Exception) else result
-            for number, result in ((number, results[i]) for i, number in enumerate(numbers))
-        ]
+            results |= part.results()
+        return [_stored(cases[number], results[i]) for i, number in enumerate(numbers)]
 
     results: dict[int, Result | FailedResult] = {}
     with together(comm):  # or the others would wait for its results
@@ -134,10 +132,12 @@ def _checked(case: Case | RingwearError) -> Case | Exception:
     return case
 
 
-def _failed(case: Case | RingwearError, error: Exception) -> FailedResult:
-    """Return the result of a case that failed."""
-    log.debug("a case failed", exc_info=error)
-    reason = as_ours(error)
+def _stored(case: Case | RingwearError, result: Result | Exception) -> Result | FailedResult:
+    """Return the result of a case, which may have failed."""
+    if isinstance(result, Result):
+        return result
+    log.debug("a case failed", exc_info=result)
+    reason = as_ours(result)
     # they hold the model and its matrices
     reason.__traceback__ = reason.__cause__ = reason.__context__ = None
     return FailedResult(case.stored_text if isinstance(case, Case) else "", reason)

@@ -38,8 +38,8 @@ from ringwear_par.studies.surrogate import (
     surrogate,
 )
 
-#: most keys, curves of a panel and cases with a point that are drawn
-_MOST_KEYS, _MOST_CURVES, _MOST_POINTS = 8, 8, 1000
+#: most curves of a panel and cases with a point that are drawn
+_MOST_CURVES, _MOST_POINTS = 8, 1000
 #: largest over smallest value above which an axis of values is logarithmic
 _LOG_VALUE = 100.0
 #: pixels of a point times the square root of the number of points
@@ -69,15 +69,14 @@ class Choice:
     cases: IntArray
     #: names of final values
     outputs: list[str]
-    #: the varied keys, and those of the largest indices, which are drawn
-    varied: list[Factor]
+    #: the varied keys
     keys: list[Factor]
     #: None: there is none, for a reason
     surrogate: Surrogate | None
     absence: str
     #: first-order and total Sobol' indices of its factors, of the outputs of which it is good
     indices: dict[str, tuple[FloatArray, FloatArray]]
-    #: how many cases and keys, in words
+    #: how many cases, in words
     counts: str
 
     @property
@@ -103,27 +102,18 @@ def choose(ensemble: Ensemble) -> Choice:
         )
     outputs = figure_columns(ensemble.final, cases)
     varied = factors_of(ensemble, cases)
-    varied = [key for key in varied if key.differs] or varied
+    keys = [key for key in varied if key.differs] or varied
     made, absence = None, ""
     indices: dict[str, tuple[FloatArray, FloatArray]] = {}
-    weights = {key.name: 0.0 for key in varied}
     try:
         complete = [name for name in outputs if np.isfinite(ensemble.final[name][cases]).all()]
         made = surrogate(ensemble, complete)
         if len(made.factors) > 1:
             good = (name for name, error in made.relative_error.items() if 0.0 < error <= GOOD)
             indices = {name: made.sobol_indices(name) for name in good}
-        for _, total in indices.values():
-            for name, weight in zip(made.ranges, total.tolist(), strict=True):
-                weights[name] = max(weight, weights[name])
     except InputError as error:
         absence = str(error)
-    names = sorted(weights, key=lambda name: -weights[name])[:_MOST_KEYS]
-    keys = [key for key in varied if key.name in names]
-    if len(keys) < len(varied):
-        reason = "of the largest indices" if indices else "the first"
-        counts += f"; {len(keys)} of {len(varied)} keys, {reason}"
-    return Choice(cases, outputs, varied, keys, made, absence, indices, counts)
+    return Choice(cases, outputs, keys, made, absence, indices, counts)
 
 
 def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
@@ -140,9 +130,9 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
     display = display_of(output)
     label = f"final {display.label}" if output == "penetration" else display.label
     values = display.factor * ensemble.final[output][choice.cases]
-    x = Axis(key.label, log=key.logarithmic, categories=_categories(key))
+    x = Axis(key.label, log=key.logarithmic, categories=tuple(map(raw_words, key.texts)))
     axes = x, value_axis(label, values), f"{label} over {key.label}"
-    others = [other for other in choice.varied if other is not key and other.differs]
+    others = [other for other in choice.keys if other is not key]
     grid = ensemble.attributes["method"] == "grid"
     curves = _curves(key, others, values) if grid else []
     if curves:
@@ -151,8 +141,9 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
     made = choice.surrogate
     if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= GOOD:
         along, mean = made.mean_along(key.name, output)
-        shifted = (made.responses[output].shifted(mean, errors) for errors in (-2.0, 0.0, 2.0))
-        low, mean, high = (display.factor * each for each in shifted)
+        error = 2.0 * made.error[output]
+        shifted = np.clip([mean - error, mean, mean + error], *made.responses[output].limits)
+        low, mean, high = display.factor * shifted
         name = "surrogate, mean over the other keys"
         if key.texts:
             ends = np.stack([mean - low, high - mean])
@@ -201,22 +192,18 @@ def value_axis(label: str, values: FloatArray) -> Axis:
 
 
 def index_panels(choice: Choice) -> dict[str, Panel]:
-    """Return the bars of Sobol' indices by output, of the keys that are drawn."""
+    """Return the bars of Sobol' indices by output."""
     panels = {}
     for output, (first, total) in choice.indices.items():
         assert choice.surrogate is not None
-        names = [factor.name for factor in choice.surrogate.factors]
-        rows = [names.index(key.name) for key in choice.keys if key.name in names]
-        places = np.arange(len(rows), dtype=float)
+        places = np.arange(len(first), dtype=float)
         bars = [
-            Bars(places - 0.17, first[rows], _FIRST, COLOURS[0]),
-            Bars(places + 0.17, total[rows], _TOTAL, COLOURS[1]),
+            Bars(places - 0.17, first, _FIRST, COLOURS[0]),
+            Bars(places + 0.17, total, _TOTAL, COLOURS[1]),
         ]
-        categories = tuple(quantity_name(names[row]) for row in rows)
-        x, y = (
-            Axis("Sobol' index", ends=(0.0, 1.05)),
-            Axis("", categories=categories, reversed=True),
-        )
+        categories = tuple(map(quantity_name, choice.surrogate.ranges))
+        x = Axis("Sobol' index", ends=(0.0, 1.05))
+        y = Axis("", categories=categories, reversed=True)
         title = f"Sobol' indices of the {final_name(output)}"
         panels[output] = Panel(x, y, title, bars=bars, legend=final_name(output))
     return panels
@@ -348,17 +335,10 @@ def raw_words(text: str) -> str:
     return in_words(parse_value(text)) if text else "none"
 
 
-def _categories(key: Factor) -> tuple[str, ...]:
-    """Return the texts of a key in few words, numbered where these would be the same."""
-    words = [raw_words(text) for text in key.texts]
-    same = len(set(words)) < len(words)
-    return tuple(f"{word} ({n})" if same else word for n, word in enumerate(words, 1))
-
-
 def _words(key: Factor) -> list[str]:
     """Return a key's value in each case, as short as its values stay apart."""
     if key.texts:
-        return [_categories(key)[int(number)] for number in key.values]
+        return [raw_words(key.texts[int(number)]) for number in key.values]
     count, words = len(np.unique(key.values)), list[str]()
     for digits in range(3, 18):
         words = [number_text(value, digits) for value in key.values]

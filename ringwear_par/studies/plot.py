@@ -21,7 +21,6 @@ from ringwear_par.pictures.matplotlib import (
     legend_entries,
     legend_shape,
 )
-from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.rig import draw_rig
 from ringwear_par.pictures.style import (
     STYLE,
@@ -39,7 +38,7 @@ log = logging.getLogger(__name__)
 
 #: most panels in a row, and inches of a panel and of a line of a legend
 _COLUMNS, _PANEL, _LINE = 4, (2.3, 2.1), 0.18
-#: letters of a line in a title, of a legend for each inch, and of a label along a panel's height
+#: letters of a line in a title, of a legend for each inch, and of a label along a panel
 _TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 14, 26
 
 
@@ -125,51 +124,33 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
         log.info("no surrogate: %s", choice.absence)
     panels, bars = effects(ensemble, choice), [*index_panels(choice).values()]
     keys = [key.name for key in choice.keys]
-    grids = [[[histories(ensemble, choice)]]]
-    grids += [[bars[i : i + 3]] for i in range(0, len(bars), 3)]
-    grids += [
-        [[panels[output, key] for key in keys[i : i + _COLUMNS]] for output in choice.outputs]
+    rows = [[histories(ensemble, choice)]]
+    rows += [bars[i : i + 3] for i in range(0, len(bars), 3)]
+    rows += [
+        [panels[output, key] for key in keys[i : i + _COLUMNS]]
         for i in range(0, len(keys), _COLUMNS)
+        for output in choice.outputs
     ]
-    width = _PANEL[0] * max(3, *(len(row) for grid in grids for row in grid))
-    letters = [int(_LEGEND_LETTERS * width / len(grid[0])) for grid in grids]
-    heights = [
-        _PANEL[1] * len(grid) + 0.4 + _LINE * max(legend_shape(panel, n)[1] for panel in grid[0])
-        for grid, n in zip(grids, letters, strict=True)
+    width = _PANEL[0] * max(3, *map(len, rows))
+    shapes = [
+        [legend_shape(p, int(_LEGEND_LETTERS * width / len(row))) for p in row] for row in rows
     ]
+    heights = [_PANEL[1] + 0.4 + _LINE * max(lines for _, lines in shape) for shape in shapes]
     with matplotlib.rc_context(STYLE):
         figure = NotebookFigure(figsize=(width, sum(heights) + 0.5), layout="constrained")
         title = [choice.counts, *textwrap.wrap(choice.remark, _TITLE_LETTERS)]
         figure.suptitle("\n".join(map(plain, title)), fontsize=9.0)
-        parts: Any = figure.subfigures(len(grids), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for part, grid, n in zip(parts, grids, letters, strict=True):
-            _draw_grid(part, grid, n)
+        parts: Any = figure.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for part, row, shape in zip(parts, rows, shapes, strict=True):
+            all_axes, entries = part.subplots(1, len(row), squeeze=False)[0], dict[str, Any]()
+            for axes, panel, (columns, _) in zip(all_axes, row, shape, strict=True):
+                draw(axes, panel, columns if panel.legend else 0)
+                if not panel.legend:
+                    entries |= legend_entries(axes)
+                axes.set_xlabel(textwrap.fill(axes.get_xlabel(), _LABEL_LETTERS))
+                axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
+                if not (panel.x.log or panel.x.categories):
+                    axes.locator_params(axis="x", nbins=4 if len(row) > 1 else 8)
+            add_shared_legend(part, entries)
         add_letters(figure)
     return figure
-
-
-def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], letters: int) -> None:
-    """Draw rows of panels on the same scales: a column has one axis below, a row one on the left.
-
-    Legends with a title stand above each column, others together above all.
-
-    Parameters
-    ----------
-    letters : of a line of a column's legend.
-    """
-    sharey = "none" if grid[0][0].bars else "row"  # bars have ends, and would be reversed twice
-    all_axes = part.subplots(len(grid), len(grid[0]), squeeze=False, sharex="col", sharey=sharey)
-    entries: dict[str, Any] = {}
-    for i, row in enumerate(grid):
-        for j, (axes, panel) in enumerate(zip(all_axes[i], row, strict=True)):
-            draw(axes, panel, legend_shape(panel, letters)[0] if panel.legend and not i else 0)
-            if not panel.legend:
-                entries |= legend_entries(axes)
-            across = textwrap.fill(axes.get_xlabel(), _LEGEND_LETTERS * 2)
-            axes.set_xlabel(across if i == len(grid) - 1 else "")
-            axes.set_ylabel("" if j else textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
-            axes.tick_params(labelleft=not j)
-            if not (panel.x.log or panel.x.categories):
-                axes.locator_params(axis="x", nbins=4 if len(row) > 1 else 8)
-    part.align_ylabels(all_axes[:, 0])
-    add_shared_legend(part, entries)

@@ -1,7 +1,5 @@
 """The files of a sweep: one for each block, then ``results.h5`` and ``cases.csv`` of all of them.
 
-Blocks hold the variables of the results for their cases, in chunks of the same shape and
-compressed by the rank that computed them: to merge them is to copy their chunks as they are.
 Histories shorter than the longest, and contact lines of fewer elements than the finest, are padded
 with NaN; ``steps_stored`` and ``elements`` say how much is there. Cases are in the order of their
 blocks, which is that of the design where only numbers vary; ``number`` is their place in it.
@@ -9,9 +7,10 @@ blocks, which is that of the design where only numbers vary; ``number`` is their
 
 import csv
 import hashlib
-import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
-from ringwear_par.results.hdf5 import atomic_hdf5, reading
+from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
@@ -48,9 +47,8 @@ from ringwear_par.studies.study import Study
 from ringwear_par.studies.variations import cell, own_key
 from ringwear_par.version import __version__, versions
 
-#: how variables are compressed, and most bytes of a chunk
+#: how variables are compressed
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-_CHUNK_BYTES = 256e3
 #: bytes that results may take beside their blocks
 _MORE_BYTES = 1e6
 _STATE = Variable("step", ("step",), "1", "stored state of each case", integer=True)
@@ -74,19 +72,15 @@ def arrays_of(
     errors : why the others have none, by place.
     """
     count = len(cases)
-    texts = {
-        "status": ["failed"] * count,
-        "error": [reason_of(errors[i]) if i in errors else "" for i in range(count)],
-        "flags": [""] * count,
-    }
+    texts = {name: np.full(count, "", dtype=object) for name in ("status", "error", "flags")}
+    for place, error in errors.items():
+        texts["status"][place], texts["error"][place] = "failed", reason_of(error)
     arrays: dict[str, Any] = {name: np.zeros(count, dtype) for name, dtype in _NUMBERS.items()}
-    tables: list[dict[str, Any]] = []
+    tables: list[tuple[IntArray, dict[str, Any]]] = []
     for at, columns in parts:
         rows, line = np.diff(columns.offsets), cases[at[0]].line
-        for i, place in enumerate(at.tolist()):
-            texts["status"][place] = columns.status[i]
-            texts["error"][place] = columns.reason[i]
-            texts["flags"][place] = ", ".join(columns.flags[i])
+        texts["status"][at], texts["error"][at] = columns.status, columns.reason
+        texts["flags"][at] = [", ".join(flags) for flags in columns.flags]
         arrays["steps_stored"][at], arrays["elements"][at] = rows, np.where(rows, line.n, 0)
         arrays["seconds"][at], arrays["imbalance"][at] = columns.seconds, columns.imbalance
         stored = np.arange(rows.max(initial=1)) < rows[:, None]
@@ -94,17 +88,14 @@ def arrays_of(
         for name, values in columns.data.items():
             table[name] = np.full((*stored.shape, *values.shape[1:]), np.nan)
             table[name][stored] = values
-        tables.append(table)
-    shapes: dict[str, tuple[int, ...]] = {}
-    for table in tables:
-        for name, values in table.items():
-            shapes[name] = _larger(values.shape[1:], shapes.get(name))
-    for name, shape in shapes.items():
+        tables.append((at, table))
+    for name, shape in _largest(_rest(table) for _, table in tables).items():
         arrays[name] = np.full((count, *shape), np.nan)
-        for (at, _), table in zip(parts, tables, strict=True):
+        for at, table in tables:
             if name in table:
-                arrays[name][at] = _padded(name, table[name], shape)
-    return derived(arrays) | {name: np.array([t.encode() for t in v]) for name, v in texts.items()}
+                _put(arrays[name], at, table[name], name)
+    encoded = {name: np.array([text.encode() for text in v]) for name, v in texts.items()}
+    return derived(arrays) | encoded
 
 
 def derived(arrays: dict[str, Any]) -> dict[str, Any]:
@@ -121,23 +112,27 @@ def derived(arrays: dict[str, Any]) -> dict[str, Any]:
     return arrays
 
 
-def _larger(shape: tuple[int, ...], other: tuple[int, ...] | None) -> tuple[int, ...]:
-    """Return the shape that both fit into."""
-    return shape if other is None else tuple(map(max, shape, other))
+def _largest(shapes: Iterable[Mapping[str, tuple[int, ...]]]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes that those of the same name fit into."""
+    largest: dict[str, tuple[int, ...]] = {}
+    for name, shape in chain.from_iterable(each.items() for each in shapes):
+        largest[name] = tuple(map(max, shape, largest.get(name, shape)))
+    return largest
 
 
-def _padded(name: str, values: Any, shape: tuple[int, ...]) -> Any:
-    """Return the values of cases, (cases, *shape), NaN where they have fewer states or elements."""
-    if values.shape[1:] == shape:
-        return values
-    table = np.full((len(values), *shape), np.nan)
+def _rest(arrays: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of arrays without the axis of the cases."""
+    return {name: values.shape[1:] for name, values in arrays.items()}
+
+
+def _put(whole: Any, at: Any, values: Any, name: str) -> None:
+    """Write the values of some cases into an array with space for more states or elements."""
     cells = tuple(map(slice, values.shape[1:]))
     if has_layers(VARIABLES[name]):  # the body itself is the last
-        table[(slice(None), *cells)][..., :-1] = values[..., :-1]
-        table[(slice(None), *cells[:-1], -1)] = values[..., -1]
-    else:
-        table[(slice(None), *cells)] = values
-    return table
+        whole[(at, *cells[:-1], -1)] = values[..., -1]
+        values, cells = values[..., :-1], (*cells[:-1], slice(values.shape[-1] - 1))
+    if values.size:
+        whole[(at, *cells)] = values
 
 
 def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
@@ -151,11 +146,7 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
         failed = int((arrays["status"] == b"failed").sum())
         file.attrs.update(software=SOFTWARE, version=__version__, failed=failed)
         for name, values in arrays.items():
-            variable = _variable(name, values.ndim)
-            lengths = [block.chunk[axis] for axis in variable.dimensions]
-            most = int(_CHUNK_BYTES / (8 * math.prod(lengths[1:]))) or 1
-            lengths[0] = min(lengths[0], 1 << (most.bit_length() - 1))
-            data = _create(file, variable, values.shape, values.dtype, lengths)
+            data = _create(file, _variable(name, values.ndim), values.shape, values.dtype)
             data[...] = values.astype(data.dtype)  # of texts their encoding
 
 
@@ -168,14 +159,11 @@ def _variable(name: str, ndim: int) -> Variable:
     return Variable(name, ("case", *axes), variable.unit, variable.meaning)
 
 
-def _create(
-    file: h5py.File, variable: Variable, shape: Sequence[int], kind: Any, chunk: Sequence[int]
-) -> h5py.Dataset:
+def _create(file: h5py.File, variable: Variable, shape: Sequence[int], kind: Any) -> h5py.Dataset:
     """Return a new variable, NaN or empty texts so far."""
     text = kind.kind == "S"
     data = file.create_dataset(
         variable.name, shape, h5py.string_dtype("utf-8", max(kind.itemsize, 1)) if text else kind,
-        chunks=tuple(chunk), maxshape=tuple(map(max, shape, chunk)),
         fillvalue=np.nan if kind.kind == "f" else None, **_PACKED,
     )  # fmt: skip
     # with which xarray takes bytes for the texts that they are
@@ -192,12 +180,12 @@ def fingerprint(blocks: Sequence[Block]) -> str:
 
 
 def is_merged(folder: Path, blocks: Sequence[Block]) -> bool:
-    """Tell whether the results of these blocks are in a folder. On one rank."""
-    try:
-        with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
-            return bool(file.attrs.get("blocks") == fingerprint(blocks))
-    except InputError:
+    """Tell whether the results of these blocks are in a folder; InputError for others' files."""
+    if not (folder / RESULTS).exists():
         return False
+    must = "; must be removed, or a new folder"
+    with reading(folder / RESULTS, SOFTWARE, FILE_KIND, must) as file:
+        return bool(file.attrs.get("blocks") == fingerprint(blocks))
 
 
 def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> None:
@@ -207,7 +195,7 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 
     Raises
     ------
-    InputError : a block is damaged.
+    DamagedError : a block.
     ComputationError : there is not enough space for them.
     OSError : the disk.
     """
@@ -225,8 +213,8 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
         _make(file, study, blocks)
         writer, first = csv.writer(table), 0
         for block in blocks:
-            values = _append(file, block, first)
-            columns = _columns(study, block, values)
+            _append(file, block, first)
+            columns = _columns(file, study, block, first)
             if not first:
                 writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
@@ -241,13 +229,12 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
     """Make the axes and the variables of all blocks, which are without values but varied keys."""
     shapes: dict[str, tuple[int, ...]] = {}
-    kinds: dict[str, tuple[Any, Any]] = {}
+    kinds: dict[str, Any] = {}
     for block in blocks:
         with _opened(block) as part:
+            shapes = _largest([shapes, _rest(part)])
             for name, data in part.items():
-                shapes[name] = _larger(data.shape[1:], shapes.get(name))
-                if name not in kinds or data.dtype.itemsize > kinds[name][0].itemsize:
-                    kinds[name] = data.dtype, data.chunks
+                kinds[name] = max(data.dtype, kinds.get(name, data.dtype), key=_itemsize)
     sizes = {"step": 1, "element": 1}
     variables = {name: _variable(name, 1 + len(shape)) for name, shape in shapes.items()}
     for name, shape in shapes.items():
@@ -256,13 +243,13 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
         file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
         file[axis].attrs.update({"step": _STATE, "element": ELEMENT, **AXES}[axis].attributes)
     for name, variable in variables.items():
-        _create(file, variable, (len(study), *shapes[name]), *kinds[name])
+        _create(file, variable, (len(study), *shapes[name]), kinds[name])
     file["case"].make_scale("case")
     order = np.concatenate([block.numbers for block in blocks])
     for name, unit in study.units().items():
         values = study.stored(name)[order]
         variables[name] = Variable(name, ("case",), unit or "1", own_key(name).meaning)
-        data = _create(file, variables[name], values.shape, values.dtype, kinds["case"][1])
+        data = _create(file, variables[name], values.shape, values.dtype)
         data[...] = values.astype(data.dtype)
         if name in study.ranges:
             data.attrs.update(zip(("spacing", "low", "high"), study.ranges[name], strict=True))
@@ -272,60 +259,58 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
                 file[name].dims[i].attach_scale(file[axis])
 
 
-def _opened(block: Block) -> Any:
-    """Return the file of a block to read, as a context."""
-    return reading(block.path, SOFTWARE, "a block of a sweep", "; must be removed")
+def _itemsize(kind: Any) -> int:
+    return int(kind.itemsize)
 
 
-def _append(file: h5py.File, block: Block, first: int) -> dict[str, Any]:
-    """Write the cases of a block to the results, from a case on; return what the table needs."""
-    chunks: dict[str, list[tuple[tuple[int, ...], bytes]]] = {}
-    values: dict[str, Any] = {}
+class DamagedError(InputError):
+    """A file of a block that is damaged."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(reason)
+        self.path = path
+
+
+@contextmanager
+def _opened(block: Block) -> Iterator[h5py.File]:
+    """Yield the file of a block to read, see ``reading``; DamagedError if it is damaged."""
+    try:
+        with reading(block.path, SOFTWARE, "a block of a sweep") as file:
+            yield file
+    except InputError as error:
+        if isinstance(error, UnreadableError) or isinstance(error.__cause__, MemoryError):
+            raise
+        raise DamagedError(block.path, str(error)) from error
+
+
+def _append(file: h5py.File, block: Block, first: int) -> None:
+    """Write the cases of a block to the results, from a case on."""
     with _opened(block) as part:
-        for name, data in part.items():
-            whole = file[name]
-            alike = (data.dtype, data.chunks) == (whole.dtype, whole.chunks)
-            if has_layers(VARIABLES[name]):  # the body itself is the last
-                alike = alike and data.shape[1:] == whole.shape[1:]
-            if alike and first % data.chunks[0] == 0:
-                places = (data.id.get_chunk_info(i) for i in range(data.id.get_num_chunks()))
-                offsets = [place.chunk_offset for place in places]
-                chunks[name] = [(at, data.id.read_direct_chunk(at)[1]) for at in offsets]
-            if name not in chunks or name in _IN_TABLE:
-                values[name] = data[()]
-    for name, packed in chunks.items():
-        for (case, *rest), content in packed:
-            file[name].id.write_direct_chunk((first + case, *rest), content)
-    for name in values.keys() - chunks.keys():
-        table = _padded(name, values[name], file[name].shape[1:])
-        file[name][first : first + len(table)] = table.astype(file[name].dtype)
-    for name in _IN_TABLE & file.keys():
-        shape = file[name].shape[1:]
-        missing = np.full((len(block.numbers), *shape), np.nan)
-        values[name] = _padded(name, values.get(name, missing), shape)
-    return values
+        arrays = {name: data[()] for name, data in part.items()}
+    for name, values in arrays.items():
+        whole = file[name]
+        _put(whole, slice(first, first + len(values)), values.astype(whole.dtype), name)
 
 
 # -- the table ---------------------------------------------------------------------------------
 
-_IN_TABLE = {
-    "case", "status", "error", "seconds", "flags", "number",
-    *(end_value.stored.name for end_value in END_VALUES.values()),
-}  # fmt: skip
 
+def _columns(file: h5py.File, study: Study, block: Block, first: int) -> dict[str, Sequence[str]]:
+    """Return the columns of the table of a block's cases, which are in the file from one on."""
 
-def _columns(study: Study, block: Block, values: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Return the columns of the table of a block's cases."""
-    columns: dict[str, Sequence[str]] = {"case": _cells(values["case"])}
+    def stored(name: str) -> Any:
+        return file[name][first : first + len(block.numbers)]
+
+    columns: dict[str, Sequence[str]] = {"case": _cells(stored("case"))}
     for name, column in study.columns.items():
         columns[name] = [cell(value) for value in column[block.numbers].tolist()]
-    columns |= {name: _cells(values[name]) for name in ("status", "error")}
+    columns |= {name: _cells(stored(name)) for name in ("status", "error")}
     for end_value in END_VALUES.values():
-        if end_value.stored.name in values:
-            for name, ends in entries(end_value, values[end_value.stored.name]).items():
+        if end_value.stored.name in file:
+            for name, ends in entries(end_value, stored(end_value.stored.name)).items():
                 columns[name] = _cells(ends)
-    columns["seconds"] = [f"{seconds:.4f}" for seconds in values["seconds"].tolist()]
-    return columns | {name: _cells(values[name]) for name in ("flags", "number")}
+    columns["seconds"] = [f"{seconds:.4f}" for seconds in stored("seconds").tolist()]
+    return columns | {name: _cells(stored(name)) for name in ("flags", "number")}
 
 
 def _cells(values: Any) -> list[str]:

@@ -7,7 +7,7 @@ found when it is made, and fails alone.
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib import import_module
@@ -25,7 +25,7 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
 from ringwear_par.cases.schema import unit_under
 from ringwear_par.cases.values import is_number
-from ringwear_par.errors import InputError
+from ringwear_par.errors import Fault, InputError
 from ringwear_par.files.text import read_text, toml_text, toml_value
 from ringwear_par.history.refusals import check_memory, check_mesh
 from ringwear_par.studies.variations import (
@@ -135,7 +135,8 @@ class Study:
         refuse_bad_laws(case, name)
         return case
 
-    def _case_or_error(self, number: int) -> Case | InputError:
+    def case_or_error(self, number: int) -> Case | InputError:
+        """Return a case without its text, or why it cannot be."""
         try:
             return self.case(number, text="")
         except InputError as error:
@@ -145,7 +146,7 @@ class Study:
     def first(self) -> int:
         """The first case that can be, or 0 where none of many can."""
         for number in range(min(len(self), _MOST_BAD)):
-            if isinstance(self._case_or_error(number), Case):
+            if isinstance(self.case_or_error(number), Case):
                 return number
         return 0
 
@@ -156,44 +157,34 @@ class Study:
     @cached_property
     def _numbers(self) -> dict[Number, FloatArray]:
         """Columns of numbers: cases that differ in them only are copies of each other."""
-        numbers: dict[Number, FloatArray] = {}
         paths = {*self.base, *map(path_of, self.names)}
+        numbers: dict[Number, FloatArray] = {}
         for name, (path, entry) in zip(self.names, self._parts, strict=True):
-            body, _, last = path.partition(".")
-            layered = last == "young" and f"{body}.layers" in paths  # no factor of the elasticity
-            if isinstance(entry, int) or name not in self._numeric or layered:
-                continue
-            if interval_of((path, entry)) is not None:
-                numbers[path, entry] = self._numeric[name]
+            # no factor of the elasticity of a ring with layers
+            layered = f"{path.removesuffix('young')}layers" in paths
+            number = None if isinstance(entry, int) or layered else (path, entry)
+            if name in self._numeric and number and interval_of(number) is not None:
+                numbers[number] = self._numeric[name]
         return numbers
 
     def cases_of(self, numbers: IntArray) -> list[Case | InputError]:
-        """Return some cases, without texts, or why one cannot be.
-
-        Of cases that differ in numbers only one is read, the others are its copies.
-        """
-        cases: list[Any] = [None] * len(numbers)
+        """Return some cases, without texts, or why one cannot be."""
+        cases = np.empty(len(numbers), dtype=object)
         kinds = self._kinds[numbers]
         for kind in np.unique(kinds):
-            places = np.flatnonzero(kinds == kind)
-            values = {name: column[numbers[places]] for name, column in self._numbers.items()}
-            alone = np.zeros(len(places), dtype=bool)
-            for number, column in values.items():
-                if (interval := interval_of(number)) is not None:
-                    alone |= ~interval.holds(column)
-            tried = map(self._case_or_error, numbers[places[~alone]].tolist())
-            pattern = next((case for case in tried if isinstance(case, Case)), None)
-            if pattern is None:
-                alone[:] = True
-            elif values:
-                alone |= needs_reading(pattern, values)
-            for place in places[alone]:
-                cases[place] = self._case_or_error(int(numbers[place]))
-            if pattern is not None:
-                floats = {name: column[~alone].tolist() for name, column in values.items()}
-                copies = with_numbers(pattern, floats, [""] * int((~alone).sum()))
-                for place, case in zip(places[~alone], copies, strict=True):
-                    cases[place] = case
+            cases[kinds == kind] = self._alike(numbers[kinds == kind])
+        return cases.tolist()
+
+    def _alike(self, numbers: IntArray) -> list[Case | InputError]:
+        """Return cases that differ in numbers only: one is read, the others are its copies."""
+        pattern = self.case_or_error(int(numbers[0]))
+        if isinstance(pattern, InputError) or not self._numbers:
+            return [pattern, *map(self.case_or_error, numbers[1:].tolist())]
+        values = {name: column[numbers] for name, column in self._numbers.items()}
+        columns = {name: column.tolist() for name, column in values.items()}
+        cases: list[Case | InputError] = [*with_numbers(pattern, columns, [""] * len(numbers))]
+        for place in np.flatnonzero(needs_reading(pattern, values)):
+            cases[place] = self.case_or_error(int(numbers[place]))
         return cases
 
     # -- their order ---------------------------------------------------------------------------
@@ -311,28 +302,22 @@ def _check(study: Study, ranks: int) -> None:
 
     A value is bad if it is with those of the first case, and in the last case that has it.
     """
-
-    def error_of(make: Callable[[], Case]) -> InputError | None:
-        try:
-            make()
-        except InputError as error:
-            return error
-        return None
-
     case = study.case(study.first)
     check_memory(case, ranks, study.name)
     check_mesh(case, study.name)
-    row, faults = [column[study.first] for column in study.columns.values()], list[str]()
+    row, faults = [column[study.first] for column in study.columns.values()], list[Fault]()
     for i, column in enumerate(study.columns.values()):
         first, codes = _distinct(column)
-        ends = np.arange(len(first))  # or the least and the largest number, or some texts
-        if len(first) > _MOST_VALUES:
-            ends = ends[[0, -1]] if column.dtype == float else ends[:_MOST_VALUES]
+        ends = range(len(first))[: _MOST_VALUES if column.dtype == object else None]
+        if len(ends) > _MOST_VALUES:  # the least and the largest number
+            ends = ends[:: len(ends) - 1]
         for end in ends:
             keys = study.keys_of([*row[:i], column[first[end]], *row[i + 1 :]])
-            make = partial(make_case, keys, f"{study.name}: case {first[end] + 1}", "")
-            last = partial(study.case, int(np.flatnonzero(codes == end)[-1]))
-            if (error := error_of(make)) and error_of(last):
-                faults += error.faults
+            try:
+                make_case(keys, f"{study.name}: case {first[end] + 1}", "")
+            except InputError as error:
+                last = int(np.flatnonzero(codes == end)[-1])
+                if isinstance(study.case_or_error(last), InputError):
+                    faults += error.faults
     if faults:
         raise InputError(*faults)

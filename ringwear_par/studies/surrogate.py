@@ -76,9 +76,8 @@ class Response:
     shape: tuple[int, ...]
     #: between which it can be
     limits: tuple[float, float]
-    #: root mean square of errors in left-out cases: in the response's unit, and of the form
+    #: root mean square of errors in left-out cases
     error: float
-    form_error: float
 
     @property
     def relative_error(self) -> float:
@@ -88,10 +87,6 @@ class Response:
     def of_form(self, table: FloatArray) -> FloatArray:
         """Return the values of the response with some values of its form."""
         return np.clip(_FORMS[self.form][1](table), *self.limits)
-
-    def shifted(self, values: FloatArray, errors: float) -> FloatArray:
-        """Return values of the response, shifted by a number of errors of its form."""
-        return self.of_form(_FORMS[self.form][0](values) + errors * self.form_error)
 
     def at(self, points: FloatArray, *, deviations: bool = False) -> FloatArray:
         """Return values, or standard deviations, (points, columns) at points.
@@ -122,18 +117,17 @@ def _fitted(
     limits = 0.0 if low >= 0.0 else -math.inf, 1.0 if name in LAYER_HISTORIES else math.inf
     spread = _rms(flat - flat.mean(axis=0))
     if spread <= 1e-12 * float(np.abs(flat).max()):
-        return Response("itself", _process(points, flat, False), 0.0, shape, limits, 0.0, 0.0)
+        return Response("itself", _process(points, flat, False), 0.0, shape, limits, 0.0)
     responses = []
     for form in ["itself", *["square root"] * (low >= 0.0), *["logarithm"] * (low > 0.0)]:
         function, back = _FORMS[form]
         table = function(flat)
         process = _process(points, table, True)
-        errors = max(
-            (share * _rms(np.clip(back(table[rows] - wrong), *limits) - flat[rows]),
-             share * _rms(wrong))
+        error = max(
+            share * _rms(np.clip(back(table[rows] - wrong), *limits) - flat[rows])
             for rows, share, wrong in _errors(process, table, columns)
-        )  # fmt: skip
-        responses.append(Response(form, process, spread, shape, limits, *errors))
+        )
+        responses.append(Response(form, process, spread, shape, limits, error))
     return min(responses, key=lambda response: response.error)
 
 

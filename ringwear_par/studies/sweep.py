@@ -6,6 +6,7 @@ and ``cases.csv``. Killed, stopped or started several times at once, the same co
 """
 
 import fcntl
+import logging
 import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
@@ -25,10 +26,11 @@ from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
-from ringwear_par.studies.results_file import arrays_of, is_merged, merge, write_block
+from ringwear_par.studies.results_file import DamagedError, arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
-from ringwear_par.studies.together import computed_with_pairs
-from ringwear_par.version import __version__
+from ringwear_par.studies.together import computed
+
+log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
 
@@ -159,14 +161,9 @@ def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
     results, merged = folder / RESULTS, is_merged(folder, blocks)
     if not merged:
         check_folder(folder, (RESULTS, TABLE), "sweep")
-    stored = [results] if results.exists() else [*(folder / FOLDER).glob("*.h5")]
-    if stored and not merged and not {block.path for block in blocks} & {*stored}:
-        must = "; must be removed, or a new folder"
-        with reading(stored[0], SOFTWARE, FILE_KIND, must) as file:
-            version = str(file.attrs["version"])
-        same = version == __version__
-        whose = "another study" if same else f"version {version} of ringwear-par"
-        raise InputError(f"{folder}: holds cases of {whose}; must be a new folder")
+        stored = {results} if results.exists() else {*(folder / FOLDER).glob("*.h5")}
+        if stored and stored.isdisjoint(block.path for block in blocks):
+            raise InputError(f"{folder}: holds cases of another study; must be a new folder")
     for path in (block.path for block in blocks if retry and _has_failed(block)):
         path.unlink()
         results.unlink(missing_ok=True)
@@ -190,17 +187,18 @@ def _complete(work: _Work) -> Summary:
 
     Raises
     ------
-    InputError, ComputationError : a damaged block, the disk.
+    InputError, ComputationError : a block cannot be read, the disk.
     """
-    comm, started, computed = work.comm, time.perf_counter(), 0
+    comm, started, count = work.comm, time.perf_counter(), 0
     try:
-        if not on_first_rank(comm, lambda: is_merged(work.folder, work.blocks)):
-            computed = comm.allreduce(_compute(work))
-            on_first_rank(comm, lambda: _merge(work))
+        merged = on_first_rank(comm, lambda: is_merged(work.folder, work.blocks))
+        while not merged:
+            count += comm.allreduce(_compute(work))
+            merged = on_first_rank(comm, lambda: _merge(work))
     except KeyboardInterrupt as signal:
         raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {work.goes_on()}") from None
     seconds = time.perf_counter() - started
-    return on_first_rank(comm, lambda: _summary(work, computed, seconds))
+    return on_first_rank(comm, lambda: _summary(work, count, seconds))
 
 
 def _without_failures(work: _Work, summary: Summary) -> Summary:
@@ -253,10 +251,12 @@ def _compute_block(
 
     Parameters
     ----------
-    pairs : contact pairs of earlier blocks; those of this one are added.
+    pairs : contact pairs of the block before, whose places those of this one take.
     """
+    for key in [*pairs][:-1]:  # which blocks that follow may share
+        del pairs[key]
     cases = study.cases_of(block.numbers)
-    parts, errors = computed_with_pairs(cases, pairs, comm)
+    parts, errors = computed(cases, pairs, comm)
     histories = [(np.array(part.numbers), part.columns) for part in parts]
 
     def store() -> None:
@@ -266,22 +266,29 @@ def _compute_block(
     on_first_rank(comm, store)
 
 
-def _merge(work: _Work) -> None:
-    """Merge all blocks, unless another process has. On rank 0."""
+def _merge(work: _Work) -> bool:
+    """Merge all blocks, unless another process has; return whether there are results. On rank 0.
+
+    A damaged block is removed instead, to be computed anew.
+    """
     blocks, folder = work.blocks, work.folder / FOLDER
     try:
         lock = (folder / "merge.lock").open("w")
     except FileNotFoundError:  # another process has merged them
-        return
+        return True
     with lock:
         with suppress(OSError):  # there are no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         if is_merged(work.folder, blocks):
-            return
-        if there(blocks) < len(blocks):
-            raise ComputationError(f"others may be at work on the rest; {work.goes_on()}")
+            return True
+        if there(blocks) < len(blocks):  # another process has removed one
+            return False
         try:
             merge(work.study, blocks, work.folder, work.comm.size)
+        except DamagedError as error:
+            log.warning("%s; it is removed, and its cases are computed anew", error)
+            error.path.unlink()
+            return False
         except (OSError, ComputationError) as error:
             raise work.incomplete(as_ours(error)) from error
         if not any(map(_has_failed, blocks)):  # --retry-failed needs these
@@ -289,6 +296,7 @@ def _merge(work: _Work) -> None:
             shutil.rmtree(done, ignore_errors=True)
             folder.rename(done)  # in one step, for processes that still look
             shutil.rmtree(done, ignore_errors=True)
+    return True
 
 
 # -- what is said ----------------------------------------------------------------------------------

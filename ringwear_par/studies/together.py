@@ -4,9 +4,9 @@ Sweeps, lists of cases and fits all compute their histories here.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
 from mpi4py import MPI
 
@@ -19,7 +19,7 @@ from ringwear_par.history.elastic import assemble, operator_key
 from ringwear_par.history.following import Following
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.refusals import check_memory, check_mesh, stress_numbers
-from ringwear_par.history.stresses import CaseStresses, stress_key
+from ringwear_par.history.stresses import stress_key
 from ringwear_par.parallel import together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
@@ -27,8 +27,6 @@ from ringwear_par.results.variables import HISTORIES
 
 T = TypeVar("T")
 
-#: contact pairs that are kept for the next cases
-_MOST_PAIRS = 16
 #: numbers of histories that step together, of which one has about so many fields, and most of them
 _NUMBERS, _FIELDS, MOST = 2**21, 32, 2048
 #: bytes of the stored histories of cases that step together: they are in memory until all have
@@ -57,25 +55,26 @@ def most_together(case: Case, assembly: float = 0.0) -> int:
         size += 8.0 * stress_numbers(case)[1]
     step = _MOVING_STEP_SECONDS if case.follows_wear else _STEP_SECONDS
     seconds = assembly + step * case.about_steps * (1.0 + (n / 64.0) ** 2)
-    most = min(_side_by_side(case), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
+    most = min(_most_side_by_side(case), _STORED_BYTES / size, _BLOCK_SECONDS / seconds)
     return max(int(most), 1)
 
 
-def _side_by_side(case: Case) -> int:
+def _most_side_by_side(case: Case) -> int:
     """Return how many histories like a case's step at a time, for their fields to stay in cache."""
     return min(max(_NUMBERS // (_FIELDS * case.mesh.contact_elements), 16), MOST)
 
 
-def blocks_of(cases: Sequence[Case]) -> list[list[int]]:
-    """Return the numbers of cases on the same contact elements that step together."""
+def _side_by_side(cases: Mapping[int, Case]) -> list[list[int]]:
+    """Return the numbers of cases on the same elements that step together."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
-    for number, case in enumerate(cases):
-        groups[block_key(case)].append(number)
+    for number, case in cases.items():
+        elements = (case.contact, case.mesh) if case.stress is None else stress_key(case)
+        groups[elements, block_key(case)].append(number)
     parts: list[list[int]] = []
     for numbers in groups.values():
         # those of the same moduli share a matrix
         numbers.sort(key=lambda n: (cases[n].lower.young, cases[n].upper.young))
-        size = _side_by_side(cases[numbers[0]])
+        size = _most_side_by_side(cases[numbers[0]])
         parts += [numbers[i : i + size] for i in range(0, len(numbers), size)]
     return parts
 
@@ -96,60 +95,32 @@ class Computed:
         """The histories as they are stored, in the order of the numbers."""
         return self.recorder.columns(self.failures)
 
-    def results(self) -> list[Result | Exception]:
-        """Return the results, or why there are none."""
-        return self.recorder.results(self.failures)
+    def results(self) -> dict[int, Result | Exception]:
+        """Return the results, or why there are none, by number."""
+        return dict(zip(self.numbers, self.recorder.results(self.failures), strict=True))
 
 
 def computed(
-    cases: Sequence[Case],
-    pairs: Sequence[ContactPair],
+    cases: Sequence[Case | Exception],
+    pairs: dict[Hashable, ContactPair],
     comm: MPI.Comm = MPI.COMM_SELF,
     *,
     results: bool = False,
     step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
-) -> list[Computed]:
-    """Compute cases, those that can side by side. Collective on comm.
-
-    Cases share a contact pair, or contact elements where each has a pair. Failures are among what
-    is returned. Results, step times and paces only where asked for, see
-    ``history.loop``.
-    """
-    done, stresses = [], _stresses(comm)
-    for numbers in blocks_of(cases):
-        chosen, pair = [cases[n] for n in numbers], [pairs[n] for n in numbers]
-        following = Following(chosen[0], comm) if chosen[0].follows_wear else None
-        if following is not None:
-            pair = [following.pair]
-        recorder = Recorder(
-            chosen, comm, stresses=stresses, results=results, pair_is_shared=following is None
-        )
-        block = Block.of(chosen, pair, _some(step_times, numbers), _some(paces, numbers))
-        failures = simulate(block, recorder, following=following)
-        done.append(Computed(tuple(numbers), recorder, failures))
-    return done
-
-
-def computed_with_pairs(
-    cases: Sequence[Case | Exception],
-    pairs: dict[Hashable, ContactPair],
-    comm: MPI.Comm,
-    *,
-    results: bool = False,
-    step_times: Sequence[Sequence[float]] | None = None,
-    paces: Sequence[FloatArray] | None = None,
 ) -> tuple[list[Computed], dict[int, Exception]]:
-    """Compute cases of any contact pairs, see ``computed``. Collective on comm.
+    """Compute cases, those that can side by side. Collective on comm.
 
     Parameters
     ----------
     cases : or why there is none.
-    pairs : of earlier cases, by operator; those of these cases are added, the oldest go.
+    pairs : of earlier cases, by operator; those that these cases lack are added.
+    results : whether there are to be results, beside columns.
+    step_times, paces : of each case, see ``Block.of``.
 
     Returns
     -------
-    parts : cases that were computed together.
+    parts : cases that were computed together; some may have failed.
     errors : why others have no history, by number.
 
     Raises
@@ -157,55 +128,53 @@ def computed_with_pairs(
     InputError : an option for PETSc, which no case can do with.
     """
     errors: dict[int, Exception] = {}
-    groups: dict[Hashable, list[int]] = defaultdict(list)
+    good: dict[int, Case] = {}
     for number, case in enumerate(cases):
         if isinstance(case, Exception):
             errors[number] = case
+        elif (error := _without_pair(case, pairs, comm)) is not None:
+            errors[number] = error
         else:
-            groups[operator_key(case)].append(number)
-    parts: list[Computed] = []
-    for key, numbers in groups.items():
-        chosen: list[Any] = [cases[number] for number in numbers]
+            good[number] = case
+    parts = []
+    for numbers in _side_by_side(good):
+        chosen = [good[number] for number in numbers]
         try:
-            if key not in pairs:
-                check_memory(chosen[0], comm.size, "case")
-                check_mesh(chosen[0], "case")
-        except InputError as error:
-            errors |= dict.fromkeys(numbers, error)
-            continue
-        try:
-            if key not in pairs:
-                while len(pairs) >= _MOST_PAIRS:
-                    del pairs[next(iter(pairs))]
-                with together(comm):
-                    pairs[key] = assemble(chosen[0], comm)
-            done = computed(
-                chosen, [pairs[key]] * len(chosen), comm, results=results,
-                step_times=_some(step_times, numbers),
-                paces=_some(paces, numbers),
-            )  # fmt: skip
+            following = Following(chosen[0], comm) if chosen[0].follows_wear else None
+            pair = [pairs[operator_key(c)] for c in chosen] if not following else [following.pair]
+            recorder = Recorder(chosen, comm, results=results, pair_is_shared=not following)
+            block = Block.of(chosen, pair, some(step_times, numbers), some(paces, numbers))
+            failures = simulate(block, recorder, following=following)
         except InputError:
             raise
         except Exception as error:  # the same for all of them
             errors |= dict.fromkeys(numbers, error)
-            continue
-        parts += [replace(part, numbers=tuple(numbers[i] for i in part.numbers)) for part in done]
+        else:
+            parts.append(Computed(tuple(numbers), recorder, failures))
     return parts, errors
 
 
-def _some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
+def _without_pair(
+    case: Case, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
+) -> Exception | None:
+    """Have the contact pair of a case among the pairs, or return why it has none. Collective."""
+    if (key := operator_key(case)) in pairs:
+        return None
+    try:
+        check_memory(case, comm.size, "case")
+        check_mesh(case, "case")
+    except InputError as error:
+        return error
+    try:
+        with together(comm):
+            pairs[key] = assemble(case, comm)
+    except InputError:
+        raise
+    except Exception as error:
+        return error
+    return None
+
+
+def some(values: Sequence[T] | None, numbers: Sequence[int]) -> list[T] | None:
+    """Return some of the values, or None where there are none."""
     return None if values is None else [values[number] for number in numbers]
-
-
-def _stresses(comm: MPI.Comm) -> Callable[[Case], CaseStresses]:
-    """Return what makes the stresses of unit loads of a case, integrated once for all alike."""
-    made: dict[Hashable, CaseStresses] = {}
-
-    def stresses(case: Case) -> CaseStresses:
-        key = stress_key(case)
-        if key not in made:
-            made.clear()
-            made[key] = CaseStresses(case, comm)
-        return made[key]
-
-    return stresses

@@ -309,7 +309,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> dict[str, Any]:
         columns = _listed(folder, design["file"])
     else:
         columns = _drawn(name, variations, **design)
-    _refuse_columns(name, columns, base)
+    _refuse_columns(name, columns)
+    base.pop("output.boundary", None)  # of which sweeps store nothing
     ranges = {v.name: (v.spacing, *v.values) for v in variations if v.spacing != "values"}
     return {
         "name": name, "text": text, "method": design["method"], "base": base, "columns": columns,
@@ -317,22 +318,16 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _refuse_columns(
-    name: str, columns: Mapping[str, NDArray[Any]], base: Mapping[str, Any]
-) -> None:
+def _refuse_columns(name: str, columns: Mapping[str, NDArray[Any]]) -> None:
     """Refuse what a sweep does not store, or must store alike of all cases."""
-    boundary = columns.get("output.boundary", [base.get("output.boundary", "none")])
-    if unknown := [value for value in boundary if value != "none"]:
-        sentence = (
-            f"{name}: output.boundary = {shortened(unknown[0])}: must be none in a study, if need "
-            'be by "output.boundary" = { values = ["none"] } in [vary]; ringwear run stores it'
-        )
-        raise InputError(Fault(sentence, "output.boundary", "conflict"))
     for key, column in columns.items():
         differ = key == "output.profiles" and len(set(map(str, column))) > 1
         if differ or key.startswith("stress."):
             sentence = f"{name}: {key}: must not vary; must be the same in all cases"
             raise InputError(Fault(sentence, key, "not_allowed"))
+        if key == "output.boundary":
+            sentence = f"{name}: {key}: must not vary; only ringwear run stores whole boundaries"
+            raise InputError(Fault(sentence, key, "conflict"))
 
 
 def _read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:

@@ -7,14 +7,12 @@ import active_set
 import numpy as np
 import pytest
 from contact_problems import HARD, Bed, drawn, spring
-from parts import BlockSolver, Line, Mesh, PowerLaw, TaoContact, simulate_one
+from parts import BlockSolver, Compliance, Line, Mesh, PowerLaw, TaoContact, simulate_one, take
 from petsc4py import PETSc
 from reference_cases import paper_case
 from tracing import ALONE, trace
 
-from ringwear_par.batched import take
-from ringwear_par.contact import _rows
-from ringwear_par.contact.problem import Compliance
+from ringwear_par.contact._rows import respond
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.mesh import contact_line
 from ringwear_par.history.block import Block
@@ -197,5 +195,5 @@ def test_the_loops_in_c_are_vectorised():
             best = min(best, time.process_time() - before)
         return best
 
-    in_c = seconds(lambda: _rows.respond(bed, False, inverse, none, 0.0, gap.copy(), x))
+    in_c = seconds(lambda: respond(bed, False, inverse, none, 0.0, gap.copy(), x))
     assert in_c < 3.5 * seconds(lambda: [matrix @ vectors for _ in range(count)])

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import Compliance, Line
 
-from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.body import Body
 from ringwear_par.elasticity.bem.pair import assemble_pair, pair_key
 from ringwear_par.elasticity.mesh import Mesh, contact_line

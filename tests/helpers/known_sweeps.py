@@ -38,8 +38,7 @@ def write(
     columns = map(column_of, map(list, zip(*rows, strict=True)))
     study = Study("study", "", method, {}, dict(zip(names, columns, strict=True)))
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    chunk = {"case": count, "step": 32, "element": 4}
-    block = Block(folder / FOLDER / "all.h5", np.arange(count), chunk)
+    block = Block(folder / FOLDER / "all.h5", np.arange(count))
     write_block(block, derived(arrays))
     merge(study, [block], folder, 1)
     return read_ensemble(folder)

@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import Load, Mesh, Ring, Stepping, ThresholdLaw
+from parts import Load, Mesh, Ring, Stepping, TaoContact, ThresholdLaw
 from paths import PAPER
 from reference_cases import paper_case, round_face
 from tracing import ALONE, first_contact, trace
 
 import ringwear_par as rw
-from ringwear_par.contact.tao import TaoContact
 from ringwear_par.history.block import Block
 from ringwear_par.history.following import Following
 from ringwear_par.history.refusals import check_mesh

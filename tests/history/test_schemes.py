@@ -5,11 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import Load, Mesh, NonLocalLaw, PowerLaw, RunningInLaw, Stepping, ThresholdLaw
+from parts import (
+    BlockSolver,
+    Load,
+    Mesh,
+    NonLocalLaw,
+    PowerLaw,
+    RunningInLaw,
+    Stepping,
+    ThresholdLaw,
+)
 from reference_cases import paper_case
 from tracing import ALONE, first_contact, trace, traces
 
-from ringwear_par.contact.block import BlockSolver
 from ringwear_par.history import schemes
 from ringwear_par.history.block import Block
 from ringwear_par.history.checks import instability

@@ -35,7 +35,7 @@ def test_tao_finds_the_same_on_any_number_of_ranks(comm, by_force):
 
 @pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
 def test_a_history_whose_contacts_all_ranks_share(comm, monkeypatch, scheme):
-    monkeypatch.setattr(loop, "_SHARED", 1)
+    monkeypatch.setattr(loop, "SHARED", 1)
     time = {"scheme": "adaptive", "end": 20.0} if scheme == "adaptive" else {
         "scheme": "implicit", "step": 2.0, "steps": 6}  # fmt: skip
     case = rw.read_case("scripts/cases/paper.toml", {"mesh.contact_elements": 32, "time": time})

@@ -10,7 +10,8 @@ FILES = [p for p in TESTS.rglob("*.py") if p.parent.name not in ("tests", "repos
 FILES += TESTS.glob("test_*.py")
 #: folders whose tests are of several rooms, or of one that is called otherwise
 ROOMS = {
-    "mpi": {"elasticity", "parallel", "verify"},
+    "contact": {"contact", "elasticity", "history"},
+    "mpi": {"elasticity", "history", "parallel", "verify"},
     "verification": {"elasticity", "verify"},
     "test_full_disks.py": {"results"},
     "test_signals.py": {"results"},

@@ -1,5 +1,6 @@
 """Sweeps that are killed, stopped, damaged or started twice: all ends as if nothing had been."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import time
 from types import SimpleNamespace
 
+import h5py
 import pytest
 from commands import NEEDS_MPIRUN, RINGWEAR, SHELL_ENVIRONMENT
 from killed_sweeps import children, kill, wait_for_end
@@ -87,18 +89,20 @@ def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed)
     assert_same_sweeps(tmp_path / "out", reference)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_damaged_block_is_refused(tmp_path, swept, comm, share):
-    """Once it is removed, the same command computes it anew."""
+@pytest.mark.parametrize("damage", ["empty", "cut", "changed"])
+def test_a_damaged_block_is_computed_anew(tmp_path, swept, comm, caplog, damage):
+    """Checksums tell whether numbers have changed."""
     study, reference, unmerged = swept
     output = shutil.copytree(unmerged, tmp_path / "out")
     path = sorted((output / "blocks").glob("*.h5"))[1]
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(rw.InputError, match=f"{path.name}.*damaged; must be removed"):
-        rw.sweep(study, output, comm)
-    path.unlink()
+    content = bytearray(path.read_bytes())
+    with h5py.File(path) as file:
+        place = file["pressure"].id.get_chunk_info(0).byte_offset
+    content[place + 20] ^= 1
+    sizes = {"empty": 0, "cut": len(content) // 2}
+    path.write_bytes(content[: sizes.get(damage)])
     assert rw.sweep(study, output, comm).computed == 2
+    assert re.search(f"{path.name}.* damaged; it is removed, and its cases", caplog.text)
     assert_same_sweeps(output, reference)
 
 

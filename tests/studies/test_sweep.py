@@ -4,10 +4,9 @@ import shutil
 import tomllib
 from functools import partial
 
-import h5py
 import numpy as np
 import pytest
-from agreement import most_off
+from agreement import assert_values_agree
 from parts import Law, edge_elements, parse_case, threshold
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
@@ -56,9 +55,8 @@ def test_rows_are_what_their_own_keys_give(tmp_path, comm):
         alone = rw.simulate(rw.read_case(tmp_path / "paper.toml", keys | {"time.steps": 6}), comm)
         assert found["case"][i].decode() == rows[i]["case"]
         assert found["wear.lower.k"][i] == keys["wear.lower.k"]
-        for name, values in {**alone.histories, **alone.profiles}.items():
-            if name != "contact_iterations":
-                assert np.abs(found[name][i] - values).max() <= most_off(values), name
+        own = {name: found[name][i] for name in {**alone.histories, **alone.profiles}}
+        assert_values_agree(own, alone)
         for name in ("penetration", "worn_volume_lower", "worn_volume_upper"):
             assert float(rows[i][name]) == found[name][i, -1] == found[f"final_{name}"][i]
 
@@ -131,19 +129,15 @@ def test_again_recomputes_nothing_and_changes_nothing(known, tmp_path, comm):
     assert tomllib.loads(read_ensemble(copied).attributes["study"])["vary"] == tables["vary"]
 
 
-@pytest.mark.parametrize("changed", ["another study", "version 99.0"])
+@pytest.mark.parametrize("changed", ["study", "version"])
 def test_a_folder_of_another_study_or_version_is_refused(
     write, known, tmp_path, comm, monkeypatch, changed
 ):
     copied = shutil.copytree(known, tmp_path / "out")
-    if changed == "another study":
-        path = write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]"))
-    else:
-        path = write(STUDY)
-        with h5py.File(copied / "results.h5", "r+") as file:
-            file.attrs["version"] = "99.0"
+    path = write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]") if changed == "study" else STUDY)
+    if changed == "version":
         monkeypatch.setattr(study, "__version__", "98.0")
-    with pytest.raises(rw.InputError, match=changed):
+    with pytest.raises(rw.InputError, match="another study"):
         rw.sweep(path, copied, comm)
     assert table(copied) == table(known)
 

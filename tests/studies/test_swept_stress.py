@@ -38,17 +38,21 @@ def singles(folder, stride=1):
             yield rows[i], data.isel(case=i), result.to_xarray(), result
 
 
+def assert_close(found, exact):
+    """To the accuracy of contact within blocks."""
+    most = 5e-4 * np.nanmax(np.abs(exact), initial=0.0)
+    np.testing.assert_allclose(found, exact, rtol=5e-4, atol=most)
+
+
 def check(row, mine, own):
     """Compare what is stored of a case, at the times that have it, and its row of the table."""
     count, at = int(mine.steps_stored), np.searchsorted(own.time, own.stress_time)
     for name in (*ROWS, "max_mises_lower_layers", "mises", "max_shear"):
         stored = mine[name].values[:count]
-        np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-3)
+        assert_close(stored[at], own[name].values)
         assert np.isnan(np.delete(stored, at, axis=0)).all()
     layers = own.worn_volume_lower_layers.values
-    np.testing.assert_allclose(
-        mine.worn_volume_lower_layers[:count], layers, rtol=1e-3, atol=1e-3 * layers.max()
-    )
+    assert_close(mine.worn_volume_lower_layers[:count], layers)
     ends = {name: own[name].values[-1] for name in (*ROWS, "share_through_lower")}
     ends |= {f"mises[{i}]": end for i, end in enumerate(own.mises.values[-1])}
     names = (f"worn_volume_lower_layers[{entry}]" for entry in (0, "body"))
@@ -56,7 +60,7 @@ def check(row, mine, own):
     ends |= {"least_layer_left_lower": own.layer_left_lower.values[-1].min()}
     ends |= {"time_through_lower": own.attrs["time_through_lower"]}
     for column, end in ends.items():
-        assert float(row[column] or "nan") == pytest.approx(end, rel=1e-3, abs=1e-12, nan_ok=True)
+        assert float(row[column] or "nan") == pytest.approx(end, rel=1e-3, abs=1e-6, nan_ok=True)
     assert mine.point_side.values.tolist() == own.point_side.values.tolist() == ["", "", "above"]
     return bool(np.isfinite(ends["time_through_lower"]))
 
@@ -100,7 +104,7 @@ def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
         for name in ("worn_volume_lower_layers", "max_mises_lower_layers"):
             stored = mine[f"final_{name}"].values
             exact = own[name].values[-1] if layers else np.array([np.nan])
-            np.testing.assert_allclose(stored[[*range(layers), -1]], exact, rtol=1e-3)
+            assert_close(stored[[*range(layers), -1]], exact)
             assert np.isnan(stored[layers:-1]).all()
             in_table = [float(row[f"{name}[{n}]"] or "nan") for n in (0, 1, 2, "body")]
             np.testing.assert_array_equal(in_table, stored)
