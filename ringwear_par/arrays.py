@@ -1,7 +1,5 @@
 """Array types, and functions of arrays."""
 
-import warnings
-from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 
@@ -11,48 +9,6 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-#: a number of a history: a float, or an array (B,) of B histories
-Numbers = Any
-
-#: size of a complex step: its square is lost in round-off
-COMPLEX_STEP = 1e-30
-#: relative step of differences: their error is its square, their round-off eps over it
-_STEP = 1e-5
-#: relative deviation from the difference at which a complex step counts as failed
-_AGREEMENT = 1e-5
-
-
-def columns(numbers: Any) -> Any:
-    """Return numbers of histories so that they go with (..., n) fields: (B,) as (B, 1).
-
-    The number of a single history, and what has columns already, stay as they are.
-    """
-    return numbers[:, None] if isinstance(numbers, np.ndarray) and numbers.ndim == 1 else numbers
-
-
-def inner(weights: FloatArray, values: FloatArray) -> Any:
-    """Return the sums of weights (n,), or (B, n), times values (..., n): a float, or (...).
-
-    The digits of a history among others do not depend on them: no BLAS, which rounds by how many
-    there are.
-    """
-    if values.ndim == 1:
-        return float(weights @ values)
-    return np.einsum("...i,...i->...", weights, values)
-
-
-def largest(values: FloatArray) -> FloatArray:
-    """Return the largest of each row, (..., n) to (...): NumPy finds its place in less time."""
-    rows = values.reshape(-1, values.shape[-1])
-    return rows[np.arange(len(rows)), rows.argmax(axis=1)].reshape(values.shape[:-1])
-
-
-def share(weights: FloatArray, which: BoolArray) -> Any:
-    """Return the share of weights (n,) where it is so, (..., n): a float, or (...).
-
-    Never more than 1, and 1 everywhere: both sums round alike.
-    """
-    return inner(weights, which.astype(float)) / inner(weights, np.ones(which.shape))
 
 
 def relative(off: Any, exact: Any) -> Any:
@@ -80,34 +36,3 @@ def short_repr(data: Any) -> str:
         f"{field.name}={text(getattr(data, field.name))}" for field in fields(data) if field.repr
     )
     return f"{type(data).__name__}({', '.join(parts)})"
-
-
-def derivative(
-    function: Callable[[Any], FloatArray], x: float | FloatArray, smallest: float
-) -> FloatArray:
-    """Return the derivative of a function whose every value depends on one entry of x only.
-
-    A one-sided difference of second order, which needs nothing below x, where rates may have no
-    sense; its place is taken by the complex step, exact to round-off, wherever the two agree: code
-    that takes absolute values, interpolates or casts loses the imaginary part.
-
-    Parameters
-    ----------
-    function : of arrays of the shape of x, real ones and perhaps complex ones.
-    x : a number or an array that broadcasts against the function's values.
-    smallest : what counts as the size of smaller entries of x.
-    """
-    h = _STEP * np.maximum(np.abs(x), smallest)
-    start, near, far = function(x), function(x + h), function(x + 2.0 * h)
-    difference = (4.0 * near - 3.0 * start - far) / (2.0 * h)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", np.exceptions.ComplexWarning)
-            with np.errstate(over="ignore"):
-                exact = np.imag(function(x + 1j * COMPLEX_STEP)) / COMPLEX_STEP
-    except Exception:  # whatever code that was written for real numbers may raise
-        return difference
-    with np.errstate(over="ignore", invalid="ignore"):  # where there is no number
-        larger = np.maximum(np.abs(exact), np.abs(difference))
-        agree = np.abs(exact - difference) <= _AGREEMENT * larger
-    return np.where(agree & np.isfinite(exact), exact, difference)

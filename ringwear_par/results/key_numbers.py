@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, share
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.results.result import Result
@@ -281,7 +281,7 @@ def _layers(result: Result, body: BodyName, wear: FloatArray) -> Iterator[_Row]:
     yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
     for layer, end in enumerate(data[f"layer_end_{body}"]):
         if (gone := wear >= end * (1.0 - _ON)).any():
-            percent = 100.0 * share(result.line.area, gone)
+            percent = 100.0 * float(np.average(gone, weights=result.line.area))
             yield f"{body}_share_through_layer_{layer}", f"area without layer {layer}", percent, "%"
     label, percent = "area without layers", 100.0 * data[f"share_through_{body}"][-1]
     yield f"{body}_share_through", label, percent, "%"
