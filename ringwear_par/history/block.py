@@ -12,8 +12,7 @@ from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.schedules import Schedules, Table, padded, value
-from ringwear_par.wear.at import LocalState
-from ringwear_par.wear.laws import LayeredLaw, averaging
+from ringwear_par.wear.laws import averaging
 from ringwear_par.wear.step import Average, StepWear, Wearing
 
 
@@ -154,10 +153,8 @@ class Block:
         """
         r, (omega, friction) = self.line.r, sliding
         speed, slid = omega[:, None] * r, self.omega.integral(time)[:, None] * r
-        at = LocalState(
-            time[:, None], r, speed, friction[:, None], speed, slid, number=self.number[:, None]
-        )
-        return StepWear(self.wearing, layer, at, wear, step, self.line.obliquity, self.pace)
+        at = time[:, None], speed, friction[:, None], slid, self.number[:, None]
+        return StepWear(self.wearing, layer, r, at, wear, step, self.line.obliquity, self.pace)
 
     def sliding(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return speeds (rad/s) and coefficients of friction at times, (B,)."""
@@ -227,8 +224,7 @@ def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> Fl
 def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
     """Return the laws of a body of all cases, layer by layer."""
     every: list[Any] = [c.laws[body] for c in cases]
-    layers = [law.laws if isinstance(law, LayeredLaw) else (law,) for law in every]
-    columns = [*zip(*layers, strict=True)]
+    columns = [*zip(*(law.laws for law in every), strict=True)]
     none = np.full((1, len(line.r)), np.inf)
     ends = [np.concatenate([c.layer_ends(body), none]) if len(columns) > 1 else none for c in cases]
     first, length = [column[0] for column in columns], every[0].length

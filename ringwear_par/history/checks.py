@@ -35,7 +35,9 @@ BALANCES = (
     "torque",  # on the fixed faces against the friction torque, the worse of both bodies
     "reaction",  # axial force on the fixed faces against that of the pressure, likewise
     "energy",  # worn volume, of all layers, against k times the dissipated energy; 0 where p0 > 0
-    "residual",  # natural residual of the contact, eq. (3), over the largest pressure
+    # natural residual of the contact, eq. (3), over the largest pressure, as if the wear there is
+    # were given: steps in blocks hold to their own, in which wear gives way to pressure as well
+    "residual",
     "step_error",  # mm, the error of wear that steps are estimated to make over the history
 )
 #: those that hold on any mesh, by any steps

@@ -138,10 +138,9 @@ def simulate(
         step = scheme(block, solver, state, end)
         if block.layered:
             step = enter_layers(block, state, step)
-        step = replace(step, failed=on_any_rank(comm, step.failed))
-        verdict = judge(block, state, step, share, is_cut, going, order)
-        # ranks may differ by round-off, or by their processor: the first decides
-        accepted, stuck, length = as_on_first_rank(comm, verdict)
+        # ranks may differ by round-off, or by their processor: all go on with the first one's
+        step = as_on_first_rank(comm, replace(step, failed=on_any_rank(comm, step.failed)))
+        accepted, stuck, length = judge(block, state, step, share, is_cut, going, order)
         before = state
         state = _after(block, state, step.state, accepted, step_error(block, step, share))
         if block.layered and (entered := state.layer != before.layer).any():

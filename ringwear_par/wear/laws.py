@@ -314,6 +314,11 @@ class Law:
         return f"{self.name}({values})"
 
     @property
+    def laws(self) -> tuple["Law", ...]:
+        """Itself, as of a body without layers, see ``LayeredLaw``."""
+        return (self,)
+
+    @property
     def name(self) -> str:
         """Value of ``law`` in case files, or the class of a user's object."""
         return self.kind.name

@@ -59,7 +59,9 @@ class StepWear:
     ----------
     wearing : bodies that wear, w of them.
     layer : (w, B, n) layers that elements are in throughout the step.
-    at : speed, friction and time at its end, or means over it.
+    r : (n,) mm.
+    at : time, speed, friction, distance slid and number of the histories, at its end or in the
+        mean: (B, 1) or (B, n), see ``LocalState``.
     wear : (w, B, n) mm, along the axis, before it.
     step : (B,) s.
     obliquity : (n,) 1 / cos alpha of sloping faces; None: flat ones.
@@ -70,14 +72,15 @@ class StepWear:
         self,
         wearing: tuple[Wearing, ...],
         layer: IntArray,
-        at: LocalState,
+        r: FloatArray,
+        at: tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
         wear: FloatArray,
         step: FloatArray,
         obliquity: FloatArray | None = None,
         pace: FloatArray | None = None,
     ) -> None:
-        self._wearing, self._layer, self._at, self._wear = wearing, layer, at, wear
-        self._obliquity = obliquity
+        self._wearing, self._layer, self._r, self._at = wearing, layer, r, at
+        self._wear, self._obliquity = wear, obliquity
         self._step, self._pace = step[:, None], pace
         #: whether the wear of an element depends on its own pressure alone
         self.is_local = all(body.average is None for body in wearing)
@@ -197,8 +200,7 @@ class StepWear:
         depth: FloatArray | float,
     ) -> Values:
         """Return rate, slope (and d rate / d wear) along the axis, worn by a further depth."""
-        at, wear, layer, ends = self._at, self._wear[i], self._layer[i], body.ends
-        of_histories = at.time, at.speed, at.friction, at.slid, at.number, wear, layer, ends
+        of_histories = *self._at, self._wear[i], self._layer[i], body.ends
         if rows is not None:
             of_histories = take(of_histories, rows)
         time, speed, friction, slid, number_of, wear, layer, ends = of_histories
@@ -209,7 +211,7 @@ class StepWear:
                 continue
             lost = np.maximum(worn - ends[number - 1], 0.0) if number else worn
             lost = lost if secant is None else lost / secant
-            own = LocalState(time, at.r, speed, friction, lost, slid, number=number_of)
+            own = LocalState(time, self._r, speed, friction, lost, slid, number=number_of)
             new = law(p, own, **self._values(body.arguments[number], rows))
             if any(body.remember) and len(new) == 2:
                 new = *new, np.zeros_like(p)
@@ -226,7 +228,7 @@ class StepWear:
         self, arguments: dict[str, FloatArray | Schedules], rows: IntArray | None
     ) -> dict[str, Any]:
         """Return what a law takes at the time, of some histories."""
-        time = self._at.time[:, 0]
+        time = self._at[0][:, 0]
         values = {
             name: value.at(time)[:, None] if isinstance(value, Schedules) else value
             for name, value in arguments.items()
