@@ -70,7 +70,7 @@ class Block:
         step_times: Sequence[Sequence[float]] | None = None,
         paces: Sequence[FloatArray] | None = None,
     ) -> "Block":
-        """Return the block of cases of one ``block_key`` on the same contact elements.
+        """Return the block of cases of one ``block_key``.
 
         Parameters
         ----------
@@ -167,12 +167,21 @@ def total(of_bodies: FloatArray) -> FloatArray:
 
 
 def block_key(case: Case) -> Hashable:
-    """Return the key of cases of the same contact elements that can be in one block."""
+    """Return the key of cases that can be in one block.
+
+    They have the same contact elements, slopes of faces, open ends of the mesh, nominal areas, and
+    layers on bodies that do not wear; other heights, moduli and Poisson's ratios.
+    """
     laws = tuple(law and law.key for law in case.laws)
+    elements = case.contact, case.mesh, *((ring.r, ring.face) for ring in case.rings)
+    layers = tuple(
+        len(ring.layers) if law else tuple(layer.thickness for layer in ring.layers)
+        for ring, law in zip(case.rings, case.laws, strict=True)
+    )
     output = case.output
     alone = id(case) if case.follows_wear or output.boundary != "none" else 0
     stored = output.fields, output.profiles, bool(output.times), case.stress
-    return case.time.scheme, case.load.force is not None, laws, *stored, alone
+    return case.time.scheme, case.load.force is not None, laws, elements, layers, *stored, alone
 
 
 def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
