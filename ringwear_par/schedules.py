@@ -142,7 +142,7 @@ def mean(quantity: Quantity, start: Any, end: Any) -> Any:
     """Return the mean over an interval of time; a number is its own."""
     if isinstance(quantity, Table):
         return integral(quantity, start, end) / (end - start)
-    return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity
+    return quantity
 
 
 def mean_of_product(a: Quantity, b: Quantity, start: float, end: float) -> float:

@@ -102,7 +102,7 @@ class Block:
             tolerance=np.array([c.time.tolerance for c in cases]),
             limits=limits,
             stored=_stored(cases, limits),
-            every=np.array([c.output.every * _by_steps(c) for c in cases]),
+            every=np.array([0 if c.output.times else c.output.every for c in cases]),
             stop={k: np.array([s.get(k, np.inf) for s in stop]) for s in stop for k in s},
             deepest=np.array([[0.5 * np.ptp(c.rings[i].z) for i in bodies] for c in cases]),
             open_ends=tuple(e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut),
@@ -196,11 +196,6 @@ def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
     return numbers
 
 
-def _by_steps(case: Case) -> bool:
-    """Tell whether states are stored by the number of steps."""
-    return not case.output.times
-
-
 def _limits(case: Case) -> list[float]:
     """Return the times at which steps of a case end."""
     time, steps = case.time, case.breakpoints
@@ -251,7 +246,7 @@ def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
         tuple(law.linear for law in first),
         tuple(law.remembers for law in first),
         np.array(ends).swapaxes(0, 1).copy(),
-        np.array([law.ratios(c.friction) for law, c in zip(every, cases, strict=True)]),
+        np.array([[law.ratio(c.friction) for law in of.laws] for of, c in zip(every, cases, strict=True)]),
         None if average is None else Average(average),
     )
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, relative
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -139,7 +139,12 @@ def _energy_defect(block: Block, state: State) -> Any:
 
 def _defect(value: Any, exact: Any) -> Any:
     """Return |value - exact| / exact, 0 where nothing is expected."""
-    return relative(abs(value - exact), exact)
+    return _over(abs(value - exact), exact)
+
+
+def _over(part: Any, whole: Any) -> Any:
+    """Return a part over the whole, 0 where that is 0 or less; NaN where either is."""
+    return np.divide(part, whole, out=np.zeros_like(whole), where=~(whole <= 0.0))
 
 
 def _measures(block: Block, state: State) -> dict[str, Any]:
@@ -168,7 +173,7 @@ def _measures(block: Block, state: State) -> dict[str, Any]:
         for layer, (start, end) in enumerate(zip(starts, body.ends[:-1], strict=False)):
             if not case.follows_wear:
                 share = ((np.clip(worn, start, end) - start) / (end - start) * area * p).sum(axis=1)
-                measures[worn_share(body.body, layer)] = relative(share, force)
+                measures[worn_share(body.body, layer)] = _over(share, force)
     return measures
 
 
@@ -209,4 +214,4 @@ def _unlike_slopes(block: Block, p: FloatArray, wear: FloatArray) -> tuple[Float
     load = block.line.area * p
     apart = np.where(np.ptp(angles, axis=0) > MOST_ANGLE, load, 0.0)
     rows, e = np.arange(len(p)), apart.argmax(axis=1)
-    return relative(apart.sum(axis=1), load.sum(axis=1)), block.line.r[e], *angles[:, rows, e]
+    return _over(apart.sum(axis=1), load.sum(axis=1)), block.line.r[e], *angles[:, rows, e]

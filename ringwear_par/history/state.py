@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, short_repr
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,6 @@ class State:
     #: mm by which gaps are smaller since slopes have turned, see ``following``; None of others
     meshed: FloatArray | None = None
     offset: FloatArray | None = None
-
-    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

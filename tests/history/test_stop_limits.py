@@ -62,6 +62,6 @@ def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, time):
 def test_a_sweep_flags_cases_that_a_limit_ended(comm):
     case = rw.read_case(PAPER, {**SMALL, **FIXED})
     cases = [case.replace({"stop.energy": limit}) for limit in (9e6, 1e12)]
-    pair = assemble(case, comm)
-    flags = [block.columns.flags for block in computed(cases, [pair] * 2)]
-    assert flags == [(("stopped_by_energy",), ())]
+    parts, errors = computed(cases, {})
+    assert not errors
+    assert [part.columns.flags for part in parts] == [(("stopped_by_energy",), ())]
