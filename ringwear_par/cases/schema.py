@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
+from ringwear_par.cases.faces import SHAPE_UNITS
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import (
@@ -31,7 +32,6 @@ from ringwear_par.cases.values import (
     whole,
 )
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.laws import LAWS, Kind, Parameter
 
 

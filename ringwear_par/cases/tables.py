@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
+from ringwear_par.cases.faces import SHAPE_UNITS
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError, texts, whole
-from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, Code, Fault, legible
 from ringwear_par.files.text import shortened, toml_value
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.sections import SHAPE_UNITS, Shape
+from ringwear_par.cases.faces import SHAPE_UNITS, Shape
 from ringwear_par.errors import Code, legible
 from ringwear_par.schedules import Quantity, Table
 

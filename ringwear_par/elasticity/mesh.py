@@ -192,9 +192,7 @@ def pair_key(bodies: tuple[Body, Body], contact: tuple[float, float], mesh: Mesh
     return mesh, contact, *((body.section, body.grip, body.relative) for body in bodies)
 
 
-def face_slope(
-    section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray | None = None
-) -> FloatArray:
+def face_slope(section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray) -> FloatArray:
     """Return (..., n), tan alpha of a contact face on each element, in the body's own frame.
 
     Worn faces are not looked at more closely than ``mesh.geometry_tolerance``, about which their
@@ -202,11 +200,9 @@ def face_slope(
 
     Parameters
     ----------
-    worn : (..., n) float, mm, depths worn off the elements; None for an unworn face.
+    worn : (..., n) float, mm, depths worn off the elements.
     """
     slope: FloatArray = np.diff(section.depth(line.edges)) / line.width
-    if worn is None:
-        return slope
     r = line.gap_point
     half = np.maximum(0.5 * line.width, mesh.geometry_tolerance)
     below, above = (np.clip(r + side * half, r[0], r[-1]) for side in (-1.0, 1.0))
@@ -222,20 +218,17 @@ def _interpolated(x: FloatArray, r: FloatArray, values: FloatArray) -> FloatArra
 
 
 def case_slopes(
-    sections: tuple[Section, Section],
-    line: ContactLine,
-    mesh: Mesh,
-    worn: FloatArray | None = None,
+    sections: tuple[Section, Section], line: ContactLine, mesh: Mesh, worn: FloatArray
 ) -> FloatArray:
     """Return (2, ..., n), tan alpha of the faces of lower and upper in the frame of the case.
 
     Parameters
     ----------
-    worn : (2, ..., n) float, mm, depths worn off; None for unworn faces.
+    worn : (2, ..., n) float, mm, depths worn off.
     """
     lower, upper = (
-        face_slope(section, line, mesh, None if worn is None else worn[i])
-        for i, section in enumerate(sections)
+        face_slope(section, line, mesh, depth)
+        for section, depth in zip(sections, worn, strict=True)
     )
     return np.stack([lower, -upper])
 
@@ -248,10 +241,7 @@ def common_slope(slopes: FloatArray) -> FloatArray:
 
 
 def pair_slope(
-    sections: tuple[Section, Section],
-    line: ContactLine,
-    mesh: Mesh,
-    worn: FloatArray | None = None,
+    sections: tuple[Section, Section], line: ContactLine, mesh: Mesh, worn: FloatArray
 ) -> FloatArray:
     """Return (n,), tan alpha of the normals that pressure acts along, in the frame of the case.
 

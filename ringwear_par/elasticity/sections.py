@@ -1,4 +1,4 @@
-"""Meridian sections of rings and discs, and their contact faces as case files give them.
+"""Meridian sections of rings and discs, and bodies with them.
 
 Every body is described in its own frame: the contact plane is z = 0, the contact face lies in it or
 below it, and the fixed face is z = -height. The upper ring is the mirror image of that picture,
@@ -9,7 +9,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -60,12 +60,7 @@ class Section:
             and over_all
             and all(-first < v <= 0 for v in z)
         ):
-            raise InputError(
-                f"section r = {self.r}, height = {self.height}, layers = {self.layers}, face = "
-                f"{self.face}: 0 <= inner < outer radius, layers thicker than 0 that are together "
-                "thinner than the body, and a face over increasing radii within the first of them, "
-                "or above the fixed face, are needed"
-            )
+            raise InputError(f"{self}: radii, height, layers and face make no section of a body")
 
     @property
     def points(self) -> FloatArray:
@@ -166,173 +161,11 @@ class Body:
     poisson: float
     #: how the face away from the contact is fixed
     grip: Grip
-    #: materials of the section's layers
+    #: materials of the section's layers, one each
     layers: tuple[Material, ...] = ()
-
-    def __post_init__(self) -> None:
-        if len(self.layers) != len(self.section.layers):
-            raise InputError(
-                f"body: {len(self.layers)} materials for {len(self.section.layers)} layers"
-            )
 
     @property
     def relative(self) -> tuple[Material, ...]:
         """Materials from the contact face downwards, moduli over that of the body itself."""
         base = Material(1.0, self.poisson)
         return *(Material(m.young / self.young, m.poisson) for m in self.layers), base
-
-
-Pair = tuple[float, float]
-#: what counts as equal, relative to the size of a body
-CLOSE = 1e-9
-#: the shapes that have names, and the units of their numbers
-SHAPE_UNITS = {"crown": "mm", "sphere": "mm", "cone": "deg", "fillet": "mm", "trace": "mm"}
-#: points of a crown or sphere, and of a fillet's quarter of a circle
-_SAMPLES, _ARC = 101, 31
-
-
-def _edge_faults(entry: str, inner: float, outer: float, r: Pair) -> list[str]:
-    """Return the faults of an inner and an outer edge, cut off or rounded by so many mm."""
-    faults, width = [], r[1] - r[0]
-    if r[0] == 0 and inner > 0:
-        faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
-    if inner + outer >= width:
-        faults.append(f"{entry}: both together must be < {width:g}, the width of the face (mm)")
-    return faults
-
-
-def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
-    """Return the faults of the chamfers of a ring, "key = value: sentence"."""
-    entry = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
-    faults = _edge_faults(entry, *chamfer, r)
-    if max(chamfer) >= z[1] - z[0]:
-        faults.append(f"{entry}: must be smaller than the height, {z[1] - z[0]:g} (mm)")
-    return faults
-
-
-def chamfer_face(chamfer: Pair, r: Pair) -> Polyline:
-    """Return the contact face with its corners cut off at 45 degrees, in the body's own frame."""
-    (inner, outer), (a, b) = chamfer, r
-    if not any(chamfer):
-        return ()
-    points = [(a, -inner), (a + inner, 0.0), (b - outer, 0.0), (b, -outer)]
-    return tuple(p for p, keep in zip(points, (inner, True, True, outer), strict=True) if keep)
-
-
-class Shape(NamedTuple):
-    """A contact face by the name of its shape."""
-
-    #: one of ``SHAPE_UNITS``
-    name: str
-    #: what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and heights in
-    #: mm in turns
-    numbers: tuple[float, ...]
-
-
-def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
-    """Return the faults of the shape of a body's face, "key = value: sentence"."""
-    (a, b), height, first = r, z[1] - z[0], shape.numbers[0]
-    entry, faults = f"profile = {{ {shape.name} = {first:g} }}", []
-    if shape.name == "crown" and first <= 0.5 * (b - a):
-        faults.append(f"{entry}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
-    elif shape.name == "sphere" and first <= b:
-        faults.append(f"{entry}: must be > {b:g}, the outer radius (mm)")
-    elif shape.name == "fillet":
-        inner, outer = _fillets(shape.numbers, r)
-        faults = _edge_faults(f"profile = {{ fillet = [{inner:g}, {outer:g}] }}", inner, outer, r)
-    elif shape.name == "trace":
-        start, end = shape.numbers[0], shape.numbers[-2]
-        if start > a + CLOSE * b or end < b - CLOSE * b:
-            faults.append(
-                f"profile: a trace from r = {start:g} to {end:g} mm; must cover the face, from "
-                f"{a:g} to {b:g} mm"
-            )
-    deepest = 0.0 if faults else -min((depth for _, depth in shape_face(shape, r)), default=0.0)
-    if deepest >= height:
-        faults.append(
-            f"profile = {{ {shape.name} }}: recedes by {deepest:g}; must be < {height:g}, the "
-            "height of the body (mm)"
-        )
-    return faults
-
-
-def shape_face(shape: Shape, r: Pair) -> Polyline:
-    """Return a face of a sound shape in the body's own frame, its highest point at z = 0.
-
-    Curves are sampled so densely that they are taken for smooth.
-    """
-    (a, b), numbers = r, shape.numbers
-    if shape.name == "fillet":
-        return _filleted(*_fillets(numbers, r), r)
-    if shape.name == "trace":
-        radii, heights = np.array(numbers[::2]), np.array(numbers[1::2])
-        x = np.unique([a, *radii[(radii > a) & (radii < b)], b])
-        z = np.interp(x, radii, heights)
-    else:
-        x, size = np.linspace(a, b, _SAMPLES), numbers[0]
-        if shape.name == "cone":
-            x = np.array([a, b])
-            z = -math.tan(math.radians(size)) * x
-        else:
-            centre = 0.5 * (a + b) if shape.name == "crown" else 0.0
-            z = -((x - centre) ** 2) / (size + np.sqrt(size**2 - (x - centre) ** 2))
-    z = z - z.max()
-    return tuple(zip(x.tolist(), z.tolist(), strict=True)) if z.any() else ()
-
-
-def _fillets(numbers: tuple[float, ...], r: Pair) -> Pair:
-    """Return the radii at the inner and outer edge; one number is for the edges that there are."""
-    inner = 0.0 if len(numbers) == 1 and r[0] == 0 else numbers[0]
-    return inner, numbers[-1]
-
-
-def _filleted(inner: float, outer: float, r: Pair) -> Polyline:
-    """Return the flat face with edges rounded by quarters of circles."""
-    angles = np.radians(np.linspace(90.0, 0.0, _ARC))
-    arc = np.stack([np.sin(angles), np.cos(angles) - 1.0], axis=1)
-    a, b = r
-    points = [(a, 0.0), (b, 0.0)]
-    if inner > 0:
-        points[:1] = [(a + inner * (1.0 - x), inner * z) for x, z in arc]
-    if outer > 0:
-        points[-1:] = [(b - outer * (1.0 - x), outer * z) for x, z in arc[::-1]]
-    return tuple((float(x), float(z)) for x, z in points) if inner or outer else ()
-
-
-def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
-    """Return the faults of the profile of "lower" or "upper", "key = value: sentence"."""
-    faults = []
-
-    def point(i: int) -> str:
-        return f"profile[{i}] = [{profile[i][0]:.12g}, {profile[i][1]:.12g}]"
-
-    back = next((i for i, (p, q) in enumerate(itertools.pairwise(profile), 1) if q[0] <= p[0]), 0)
-    if back:
-        faults.append(
-            f"{point(back)}: the face does not face the other body where r does not increase; "
-            f"must be > {profile[back - 1][0]:.12g}, the radius before"
-        )
-    for i, end, where in ((0, r[0], "inner"), (len(profile) - 1, r[1], "outer")):
-        if not back and abs(profile[i][0] - end) > CLOSE * max(1.0, r[1]):
-            faults.append(
-                f"{point(i)}: the profile must run from the inner to the outer radius; its "
-                f"{where} end must have r = {end:.12g} (mm)"
-            )
-    slack = CLOSE * max(1.0, *map(abs, z))
-    low, high = (">", "<=") if ring == "lower" else (">=", "<")
-    for i, (_, height) in enumerate(profile):
-        depth = z[1] - height if ring == "lower" else height - z[0]
-        if not -slack <= depth < z[1] - z[0] - slack:
-            faults.append(
-                f"{point(i)}: leaves the body; z must be {low} {z[0]:g} and {high} {z[1]:g} (mm)"
-            )
-            break  # one sentence for all points outside
-    return faults
-
-
-def profile_face(ring: str, profile: Polyline, r: Pair, z: Pair) -> Polyline:
-    """Return a sound profile of "lower" or "upper" in the body's own frame, its ends snapped."""
-    radii = [r[0], *(p[0] for p in profile[1:-1]), r[1]]
-    heights_of_points = [p[1] - z[1] if ring == "lower" else z[0] - p[1] for p in profile]
-    heights = [min(0.0, v) for v in heights_of_points]  # the contact plane is met but for round-off
-    return tuple(zip(radii, heights, strict=True)) if any(heights) else ()

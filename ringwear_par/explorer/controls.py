@@ -5,11 +5,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ringwear_par.cases.faces import SHAPE_UNITS
 from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import BY_PATH, MOST_LAYERS, key_of, quantity_name
 from ringwear_par.cases.units import factor, in_unit, number_and_unit
 from ringwear_par.cases.values import LEAST, MOST, Interval, is_number
-from ringwear_par.elasticity.sections import BODIES, SHAPE_UNITS
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.wear.laws import LAWS
 
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega", "contact.friction")

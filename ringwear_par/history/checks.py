@@ -22,8 +22,9 @@ FEW_ELEMENTS = 10
 MOST_ANGLE = 15.0
 #: relative difference of two values of a measure that are the same
 _ROUND_OFF = 1e-9
-#: the measure of the largest stress (MPa) beside an edge where it is infinite, and its radius (mm)
-INFINITE_STRESS = "infinite_stress"
+#: measures of a largest stress (MPa) that is beside an edge where it is infinite: of contact, with
+#: the radius (mm); the free end of an interface, with radius, height (mm), body and layer above
+INFINITE_STRESS, INFINITE_AT_INTERFACE = "infinite_stress", "infinite_stress_at_interface"
 #: numbers of a measure: value, time (s), and up to four that tell where it was
 ENTRIES = 6
 
@@ -62,7 +63,7 @@ class Worst:
     are enough to tell it; the force on few elements, see ``force_measure``; the asymmetry of the
     compliance; the share of the load between faces of unlike slopes, with the radius (mm) where it
     is largest and the angles there of lower, of upper and of the pressure (degrees); shares of worn
-    layers; and ``INFINITE_STRESS``.
+    layers; and stresses beside edges, see ``INFINITE_STRESS``.
     """
 
     def __init__(self, count: int) -> None:

@@ -58,11 +58,10 @@ def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
 
 def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:
     """Return the elasticity of a case whose elements follow the wear. Collective on comm."""
-    lower, upper = (law is not None for law in case.laws)
-    return UpdatedGeometry(bodies(case), (lower, upper), case.line, case.mesh, comm)
+    return UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
 
 
-def boundary_recovery(case: Case, comm: MPI.Comm) -> BoundaryRecovery:
+def boundary_recovery(case: Case, comm: MPI.Comm, *, fine: bool = False) -> BoundaryRecovery:
     """Return the recovery of the whole-boundary fields of a case. Not collective."""
     planes = case.lower.z[1], case.upper.z[0]
-    return BoundaryRecovery(bodies(case), case.line, case.mesh, planes, comm)
+    return BoundaryRecovery(bodies(case), case.line, case.mesh, planes, comm, fine=fine)

@@ -9,7 +9,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.contact.tao import TaoContact
-from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.block import Block
@@ -29,8 +28,8 @@ class Following:
         #: (2, n) mm, wear of the profiles that the elements are meshed on
         self._meshed = np.zeros((2, case.line.n))
         self.pair = self._geometry.update(self._meshed)
-        #: how often elements were assembled anew, and the time and memory of it
-        self.updates, self.cost = 0, BodyCost()
+        #: how often elements were assembled anew, and seconds of it as in ``ContactPair``
+        self.updates, self.seconds = 0, np.zeros(2)
 
     def follow(
         self, block: Block, solver: TaoContact, state: State
@@ -87,7 +86,7 @@ class Following:
                 raise ComputationError("an element of the worn geometry gives way upwards")
         except ComputationError as error:
             raise ComputationError(_slivers(case.line, both) or str(error)) from error
-        self._meshed, self.cost = both, self.cost + self.pair.cost
+        self._meshed, self.seconds = both, self.seconds + self.pair.seconds
         bodies = tuple(
             body if body.average is None else replace(
                 body, average=Average(averaging(line.r, line.true_area, case.laws[body.body].length))  # type: ignore[union-attr]  # noqa: E501

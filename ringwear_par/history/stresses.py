@@ -10,13 +10,14 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, Side
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import MESH_FIELDS
-from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery, interfaces
-from ringwear_par.history.elastic import bodies, boundary_recovery, operator_key
+from ringwear_par.elasticity.stress.fields import MESH_FIELDS, mises
+from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
+from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS
+from ringwear_par.history.elastic import boundary_recovery, operator_key
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
-#: infinite there
-RISING = 1.2
+#: infinite there; and these elements
+_RISING, _ENDS = 1.2, ((0, 3), (-1, -4))
 
 _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 #: where a largest stress is, see ``fields.Largest``
@@ -124,13 +125,10 @@ class CaseStresses:
                 np.concatenate([sides[of_body], np.zeros(len(grid))]),
             )
 
-        both, planes = bodies(case), (case.lower.z[1], case.upper.z[0])
-        self._recovery = StressRecovery(
-            both, case.line, case.mesh, planes, (of(0), of(1)), case.stress.exclude, comm
-        )
+        boundaries = boundary_recovery(case, comm, fine=True)
+        self._recovery = StressRecovery(boundaries, (of(0), of(1)), case.stress.exclude)
         where: dict[str, Any] = {"grid_r": axes[0], "grid_z": axes[1]}
-        for body, sections, plane in zip(BODIES, both, planes, strict=True):
-            r, z = interfaces(sections, case.line, case.mesh, body, plane)
+        for body, (r, z) in zip(BODIES, boundaries.interfaces(), strict=True):
             where |= {f"interface_r_{body}": r, f"interface_z_{body}": z}
         where |= {"point_r": points[:, 0], "point_z": points[:, 1], "point_side": names}
         #: arrays by name that are the same at all states, see ``results.variables``
@@ -193,13 +191,15 @@ class Stresses:
         #: why stresses of some histories could not be computed
         self.failures: dict[int, Exception] = {}
 
-    def __call__(self, number: int, moment: Moment, last_stored: float) -> tuple[float, ...]:
+    def __call__(
+        self, number: int, moment: Moment, last_stored: float
+    ) -> dict[str, tuple[float, ...]]:
         """Compute the stresses of a stored state, if its case wants them.
 
         Returns
         -------
-        tuple : the largest (MPa) beside an edge of contact where stress is infinite, its time (s)
-            and the radius (mm) of the edge; () where the largest is elsewhere.
+        dict : the entries of ``INFINITE_STRESS`` and ``INFINITE_AT_INTERFACE``, where the largest
+            stress is beside such an edge.
 
         Raises
         ------
@@ -207,42 +207,55 @@ class Stresses:
         """
         case = self._cases[number]
         if case.stress is None or number in self.failures:
-            return ()
+            return {}
         if not selected(case.stress.times, moment, last_stored):
-            return ()
+            return {}
         try:
-            state = self._of(case).at(case, moment)
+            of = self._of(case)
+            state = of.at(case, moment)
         except Exception as error:
             if len(self._cases) == 1:
                 raise
             self.failures[number] = error
-            return ()
-        edge = _infinite_edge(case, state, moment)
+            return {}
+        infinite = _infinite(case, of.where, state, moment)
         for name in _FIELDS if self._points_only else ():
             state.pop(name, None)
         self.states[number].append(state)
-        return edge
-
-    def where(self, number: int) -> dict[str, Any]:
-        """Return where the stresses of a history are, by name; nothing where it has none."""
-        return self._of(self._cases[number]).where if self.states[number] else {}
+        return infinite
 
     def arrays(self, number: int) -> dict[str, Any]:
         """Return the stresses of a history so far by name, nothing where it has none."""
-        return stacked(self.states[number]) | self.where(number)
+        states = self.states[number]
+        return stacked(states) | self._of(self._cases[number]).where if states else {}
 
 
-def _infinite_edge(case: Case, state: Mapping[str, Any], moment: Moment) -> tuple[float, ...]:
-    """Return the largest stress of a state beside an edge, see ``Stresses``. Not collective."""
+def _infinite(
+    case: Case, where: Mapping[str, Any], state: Mapping[str, Any], moment: Moment
+) -> dict[str, tuple[float, ...]]:
+    """Return the largest stresses of a state that are beside edges, see ``Stresses``.
+
+    There, at edges of contact and at free ends of interfaces, stress rises to the edge. Beyond
+    ``stress.exclude`` a few elements are near. Not collective.
+    """
     assert case.stress is not None
-    p, line = moment.pressure, case.line
-    mises = [state[f"max_mises_{body}"] for body in BODIES]
-    body = BODIES[int(np.argmax(np.nan_to_num(mises, nan=-np.inf)))]
-    highest, place_r, place_z = (state[f"max_mises_{body}{end}"] for end in ("", "_r", "_z"))
-    for end, further in ((0, 3), (-1, -4)):
-        r, reach = line.edges[end], case.stress.exclude * (1.0 + 1e-6) + 3.0 * line.width[end]
-        height = min(abs(place_z - z) for z in (case.lower.z[1], case.upper.z[0]))
-        beside = np.hypot(place_r - r, height) <= reach + moment.wear.max()
-        if r > 0.0 and beside and p[end] > RISING * p[further]:
-            return highest, moment.time, float(r)
-    return ()
+    found: dict[str, tuple[float, ...]] = {}
+    p, line, exclude = moment.pressure, case.line, case.stress.exclude * (1.0 + 1e-6)
+    largest = [[state[f"max_mises_{body}{end}"] for end in ("", "_r", "_z")] for body in BODIES]
+    stress, at_r, at_z = max(largest, key=lambda of: np.nan_to_num(of[0], nan=-np.inf))
+    for end, further in _ENDS:
+        r, reach = line.edges[end], exclude + 3.0 * line.width[end]
+        height = min(abs(at_z - z) for z in (case.lower.z[1], case.upper.z[0]))
+        beside = np.hypot(at_r - r, height) <= reach + moment.wear.max()
+        if r > 0.0 and beside and p[end] > _RISING * p[further] and not found:
+            found[INFINITE_STRESS] = stress, moment.time, float(r)
+    for i, (body, ring) in enumerate(zip(BODIES, case.rings, strict=True)):
+        (stress, at_r, at_z), middles = largest[i], where.get(f"interface_r_{body}", np.empty(0))
+        for layer, z in enumerate(where.get(f"interface_z_{body}", ())):
+            values = mises(state[f"interface_stress_{body}"][layer]).max(axis=0)
+            for r, (end, further) in zip(ring.r, _ENDS, strict=True):
+                near = np.hypot(at_r - r, at_z - z) <= exclude + 6.0 * abs(middles[end] - r)
+                if r > 0.0 and near and values[end] > _RISING * values[further]:
+                    edge = (stress, moment.time, r, z, i, layer)
+                    found[INFINITE_AT_INTERFACE] = max(found.get(INFINITE_AT_INTERFACE, ()), edge)
+    return found

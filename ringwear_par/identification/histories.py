@@ -10,7 +10,7 @@ import math
 import pickle
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -212,7 +212,8 @@ class Readings:
         )  # fmt: skip
         used = {operator_key(case) for case in found.values() if isinstance(case, Case)}
         self._pairs = {k: pair for k, pair in self._pairs.items() if k in used | {*self._kept}}
-        numbers, results = [*found], {**failed}
+        results: dict[int, Result | Exception] = {**failed}
+        numbers = [*found]
         for part in parts:
             results |= part.results()
         for place, result in results.items():

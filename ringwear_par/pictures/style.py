@@ -14,9 +14,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from ringwear_par.cases.faces import SHAPE_UNITS
 from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import is_number
-from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import atomic_write, check_writable

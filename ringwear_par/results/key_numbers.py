@@ -23,8 +23,6 @@ _LARGE = 1e6
 #: share of an approach below which differences of two of them are errors of contact solutions:
 #: where nothing wears they are up to 5e-8 on 16 elements, 4e-9 on 24
 _ROUND_OFF = 1e-7
-#: share of its depth within which wear has reached the end of a layer
-_ON = 1e-9
 #: groups of checks
 BALANCES = "largest relative errors of all steps"
 MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
@@ -206,16 +204,12 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     ends = {name: float(values[-1]) for name, values in result.histories.items()}
     ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
     wearing = [body for body in BODIES if about[f"law_{body}"]]
-    wear, rates = (
-        dict(zip(wearing, values[:, 0], strict=True)) for values in (state.wear, state.rates)
-    )
     pressure = state.pressure[0]
     numbers = _group("penetration", _penetration(result, pressure, state.wear[:, 0].sum(axis=0)))
-    for body in wearing:
-        numbers += _group(body, _worn(result, body, wear[body], rates[body], ends))
+    for body, wear, rates in zip(wearing, state.wear[:, 0], state.rates[:, 0], strict=True):
+        numbers += _group(body, _worn(result, body, wear, rates, ends))
     for body in BODIES:
-        worn = wear.get(body, np.zeros(result.line.n))
-        numbers += _group(f"worn layers of {body}", _layers(result, body, worn))
+        numbers += _group(f"worn layers of {body}", _layers(result, body))
     numbers += _group("pressure", _pressures(result, pressure))
     numbers += _group("load", (
         ("force", "force", ends["force"], "N"),
@@ -270,7 +264,7 @@ def _worn(
     yield f"{body}_specific_rate", "specific wear rate", specific, "mm3/(N m)"
 
 
-def _layers(result: Result, body: BodyName, wear: FloatArray) -> Iterator[_Row]:
+def _layers(result: Result, body: BodyName) -> Iterator[_Row]:
     """Yield the wear of the layers of a body, nothing of one without."""
     data = result.data
     if f"share_through_{body}" not in data:
@@ -279,17 +273,12 @@ def _layers(result: Result, body: BodyName, wear: FloatArray) -> Iterator[_Row]:
     for layer, volume in enumerate(volumes):
         yield f"{body}_volume_layer_{layer}", f"volume of layer {layer}", volume, "mm3"
     yield f"{body}_volume_under_layers", "volume of the body itself", itself, "mm3"
-    for layer, end in enumerate(data[f"layer_end_{body}"]):
-        if (gone := wear >= end * (1.0 - _ON)).any():
-            percent = 100.0 * float(np.average(gone, weights=result.line.area))
-            yield f"{body}_share_through_layer_{layer}", f"area without layer {layer}", percent, "%"
     label, percent = "area without layers", 100.0 * data[f"share_through_{body}"][-1]
     yield f"{body}_share_through", label, percent, "%"
     time = result.attributes.get(f"time_through_{body}", np.nan)
     yield f"{body}_time_through", f"{label}, first at time", time, "s"
     left = 1e3 * np.atleast_2d(data[f"layer_left_{body}"])[-1]
     yield f"{body}_least_left", "least thickness left", left.min(), "um"
-    yield f"{body}_most_left", "largest thickness left", left.max(), "um"
 
 
 def _pressures(result: Result, p: FloatArray) -> Iterator[_Row]:
@@ -303,7 +292,6 @@ def _pressures(result: Result, p: FloatArray) -> Iterator[_Row]:
         off *= bool(edge_elements(p)[place])
         yield "largest_pressure", "largest of an element", p[place], "MPa", off
         yield "r_largest_pressure", "largest, at radius", result.line.r[place], "mm"
-        yield "smallest_pressure", "smallest", p.min(), "MPa"
     else:
         note += ": the faces do not touch"
     yield "touching", "elements in contact", touching, "", note, ".0f"

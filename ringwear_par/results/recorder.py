@@ -13,7 +13,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import STOP_CRITERIA
 from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.block import Block
-from ringwear_par.history.checks import INFINITE_STRESS, Worst
+from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS, Worst
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
 from ringwear_par.history.stresses import Boundaries, CaseStresses, Stresses
@@ -89,7 +89,8 @@ class Recorder:
         if (stress := self._cases[0].stress) is not None and stress.times != "last":
             self._stresses.states[0] = stored_states(before.data, "stress_step", times)
         if not self._stresses.states[0]:
-            self._worst.measures.pop(INFINITE_STRESS, None)
+            for name in (INFINITE_STRESS, INFINITE_AT_INTERFACE):
+                self._worst.measures.pop(name, None)
 
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""
@@ -116,8 +117,8 @@ class Recorder:
         for place, number in enumerate(instant.block.number.tolist()):
             state, before = moment(instant, place), float(self._rows.last_time[number])
             self._boundaries(state, before)
-            if edge := self._stresses(number, state, before):
-                self._worst.take(INFINITE_STRESS, np.array([number]), *np.array([edge]).T)
+            for name, entries in self._stresses(number, state, before).items():
+                self._worst.take(name, np.array([number]), *np.array([entries]).T)
 
     # -- what there is -----------------------------------------------------------------------------
 
@@ -152,15 +153,15 @@ class Recorder:
             flags=tuple(
                 () if i in failures
                 else (*(w.code for w in warnings), *(f"stopped_by_{n}" for n in self._limits(i)))
-                for i, warnings in enumerate(self._warnings(stresses))
+                for i, warnings in enumerate(self._warnings())
             ),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if i in failures else "done" for i in range(count)),
             reason=tuple(reason_of(failures[i]) if i in failures else "" for i in range(count)),
         )  # fmt: skip
 
-    def _warnings(self, stresses: Sequence[Mapping[str, Any]]) -> list[list[ValidityWarning]]:
-        return warnings_of_histories(self._cases, self._worst.measures, stresses)
+    def _warnings(self) -> list[list[ValidityWarning]]:
+        return warnings_of_histories(self._cases, self._worst.measures)
 
     def _end(self, number: int) -> tuple[Block, State]:
         """Return the last state of a history, as of a block of one."""
@@ -193,24 +194,21 @@ class Recorder:
         assert self.last is not None
         is_stored = self.last.state.time[0] <= self._rows.last_time[0]
         columns = self._rows.columns(None if is_stored else self.last)
-        stresses = self._stresses.arrays(0)
-        return self._result(0, columns, stresses, self._warnings([stresses])[0], error)
+        return self._result(0, columns, self._warnings()[0], error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
-        stresses = [self._stresses.arrays(number) for number in range(len(self._cases))]
-        every, columns = self._warnings(stresses), self._rows.columns()
+        columns = self._rows.columns()
         return [
-            failures[i] if i in failures else self._result(i, columns, stresses[i], warnings)
-            for i, warnings in enumerate(every)
+            failures[i] if i in failures else self._result(i, columns, warnings)
+            for i, warnings in enumerate(self._warnings())
         ]
 
     def _result(
         self,
         number: int,
         columns: Columns,
-        stresses: Mapping[str, Any],
         warnings: Sequence[ValidityWarning],
         error: str = "",
     ) -> Result:
@@ -229,7 +227,7 @@ class Recorder:
         for i, name in enumerate(LAYER_ENDS):
             if case.rings[i].layers:
                 data[name] = case.layer_ends(i)
-        data |= {**stresses, **self._boundaries.arrays()}
+        data |= {**self._stresses.arrays(number), **self._boundaries.arrays()}
         through = times_through(case, state.through[0])
         return Result(
             data,
@@ -253,11 +251,12 @@ class Recorder:
         Of several histories, those of one in the mean.
         """
         assert self.last is not None
-        costs = [] if self._pair_is_shared else [block.line.pairs[0].cost]
+        elastic = np.zeros(2)
+        if not self._pair_is_shared:
+            elastic += block.line.pairs[0].seconds
         if self.last.following is not None:
-            costs.append(self.last.following.cost)
-        assembly = sum(cost.seconds_assembly for cost in costs)
-        solution = sum(cost.seconds_solution for cost in costs)
+            elastic += self.last.following.seconds
+        assembly, solution = elastic.tolist()
         stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
         seconds = {
             "seconds_assembly": assembly,

@@ -139,17 +139,14 @@ def _interrupted(
     about = before.attributes
     if not restart and (about["status"] == "complete" or about["error"]):
         return None
-    fault = _difference(before, case)
-    if restart and not fault:
-        return before
     if not restart:
-        steps = before.last_state.steps[0]
-        fault = f"holds a run that was interrupted after step {steps}; " + (
-            "it is one of another case, and --overwrite replaces it"
-            if fault
-            else "--restart continues it, --overwrite starts anew"
+        raise InputError(
+            f"{output}: holds a run that was interrupted after step {before.step[-1]}; --restart "
+            "continues it, --overwrite starts anew"
         )
-    raise InputError(f"{output}: {fault}")
+    if fault := _difference(before, case):
+        raise InputError(f"{output}: {fault}")
+    return before
 
 
 def _difference(before: Result, case: Case) -> str:
@@ -165,7 +162,7 @@ def _difference(before: Result, case: Case) -> str:
             "was computed with another wear law in a Python file than there is now; --restart "
             "needs the same"
         )
-    if _continued(before.case) != _continued(case.stored_text):
+    if _keys(before.case) != _keys(case.stored_text):
         return (
             f"holds another case; --restart needs the same case, only {growing} and limits in "
             "[stop] may change"
@@ -180,21 +177,17 @@ def _difference(before: Result, case: Case) -> str:
 
 
 def _is_at_end(case: Case, before: Result) -> bool:
-    """Tell whether a stored history has come to the end of a case, or to one of its limits."""
-    if before.last_state.time[0] >= case.time.end:
-        return True
-    stops = (
-        {key: value for key, value in read_keys(text).items() if key.startswith("stop.")}
-        for text in (before.case, case.stored_text)
-    )
-    return "stopped_by" in before.attributes and next(stops) == next(stops)
+    """Tell whether a stored history has come to the end of a case, or to the same limits."""
+    stopped = "stopped_by" in before.attributes
+    same = _keys(before.case, limits=True) == _keys(case.stored_text, limits=True)
+    return before.last_state.time[0] >= case.time.end or (stopped and same)
 
 
-def _continued(text: str) -> dict[str, Any]:
-    """Return those keys of a case that must be the same where a run goes on."""
+def _keys(text: str, *, limits: bool = False) -> dict[str, Any]:
+    """Return the keys of a case that must be the same where a run goes on, or its limits."""
     free = ("title", "time.end", "time.steps")
     keys = read_keys(text).items()
-    return {k: value for k, value in keys if k not in free and not k.startswith("stop.")}
+    return {k: v for k, v in keys if k not in free and k.startswith("stop.") == limits}
 
 
 # -- a history under way ---------------------------------------------------------------------------

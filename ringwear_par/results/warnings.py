@@ -2,7 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -10,17 +9,16 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.plausible import implausible_numbers, wear_question
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import mises
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.checks import (
     ENTRIES,
     FEW_ELEMENTS,
+    INFINITE_AT_INTERFACE,
     INFINITE_STRESS,
     MOST_ANGLE,
     force_measure,
     worn_share,
 )
-from ringwear_par.history.stresses import RISING
 from ringwear_par.schedules import Table, largest
 
 #: share of the largest force of a history under which contact need not be resolved
@@ -50,21 +48,12 @@ Measures = Mapping[str, FloatArray]
 Check = tuple[str, BoolArray, Callable[[int], str]]
 
 
-def warnings_of_histories(
-    cases: Sequence[Case], worst: Measures, stresses: Sequence[Mapping[str, Any]]
-) -> list[list[ValidityWarning]]:
-    """Return the warnings of each of B histories.
-
-    Parameters
-    ----------
-    stresses : arrays of each history by name, nothing where it has none.
-    """
+def warnings_of_histories(cases: Sequence[Case], worst: Measures) -> list[list[ValidityWarning]]:
+    """Return the warnings of each of B histories."""
     warnings = [[*implausible_numbers(case), *_of_case(case)] for case in cases]
     for code, mask, sentence in _of_states(cases, worst):
         for i in np.flatnonzero(mask).tolist():
             warnings[i].append(ValidityWarning(code, sentence(i)))
-    for i, case in enumerate(cases):
-        warnings[i] += _of_interfaces(case, stresses[i])
     return warnings
 
 
@@ -193,15 +182,6 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
             if worn_share(body, layer) in worst:  # elements do not follow the wear
                 yield _worn_layer(cases, body, layer, worst[worn_share(body, layer)])
 
-    stress, when_infinite, edge, *_ = worst[INFINITE_STRESS]
-    exclude = 0.0 if cases[0].stress is None else cases[0].stress.exclude
-    yield "infinite_stress", stress > 0.0, lambda i: (
-        f"the largest von Mises stress at t = {when_infinite[i]:g} s, {stress[i]:.5g} MPa, is "
-        f"beside the edge of contact at r = {edge[i]:.6g} mm, where stress is infinite until wear "
-        f"has rounded the edge: this number grows as stress.exclude, now {exclude:g} mm, is made "
-        "smaller"
-    )  # fmt: skip
-
     share, when_aside, r, lower, upper, acts = worst["unlike_slopes"]
     advice = '; mesh.geometry = "updated" follows the worn faces' * (not cases[0].follows_wear)
     yield "unlike_slopes", share > _LOAD_ASIDE, lambda i: (
@@ -210,6 +190,26 @@ def _of_states(cases: Sequence[Case], measures: Measures) -> Iterator[Check]:
         f"at r = {r[i]:.6g} mm lower slopes by {lower[i]:.3g}, upper by {upper[i]:.3g} degrees, "
         f"and the pressure acts as on a slope of {acts[i]:.3g} degrees{advice}"
     )  # fmt: skip
+
+    exclude = 0.0 if cases[0].stress is None else cases[0].stress.exclude
+    grows = f"this number grows as stress.exclude, now {exclude:g} mm, is made smaller"
+    at_edge, at_end = worst[INFINITE_STRESS], worst[INFINITE_AT_INTERFACE]
+    yield INFINITE_STRESS, at_edge[0] > 0.0, lambda i: (
+        f"the largest von Mises stress at t = {at_edge[1, i]:g} s, {at_edge[0, i]:.5g} MPa, is "
+        f"beside the edge of contact at r = {at_edge[2, i]:.6g} mm, where stress is infinite until "
+        f"wear has rounded the edge: {grows}"
+    )  # fmt: skip
+
+    def under(i: int) -> str:
+        stress, time, r, z, body, layer = at_end[:, i].tolist()
+        name = BODIES[int(body)]
+        return (
+            f"the largest von Mises stress of {name} at t = {time:g} s, {stress:.5g} MPa, is "
+            f"beside the free edge of the interface under {name}.layers[{layer:g}], at "
+            f"r = {r:.6g}, z = {z:.6g} mm, where stress between two materials is infinite: {grows}"
+        )
+
+    yield INFINITE_AT_INTERFACE, at_end[0] > 0.0, under
 
 
 def _worn_layer(cases: Sequence[Case], body: int, layer: int, worn: FloatArray) -> Check:
@@ -225,33 +225,3 @@ def _worn_layer(cases: Sequence[Case], body: int, layer: int, worn: FloatArray) 
         f"modulus is {this[i]:g} MPa over {below[i]:g} MPa under it. "
         'mesh.geometry = "updated" follows the wear of layers'
     )  # fmt: skip
-
-
-def _of_interfaces(case: Case, stresses: Mapping[str, Any]) -> Iterator[ValidityWarning]:
-    """Yield which largest stresses of a history are beside free ends of interfaces, rising there.
-
-    Beyond ``stress.exclude`` a few elements are near.
-    """
-    ends: dict[tuple[str, int, float], str] = {}  # the last state at each
-    for body, ring in zip(BODIES, case.rings, strict=True):
-        if f"interface_stress_{body}" not in stresses:
-            continue
-        line, exclude = stresses[f"interface_r_{body}"], float(stresses["stress_exclude"])
-        tops = (stresses[f"max_mises_{body}{end}"] for end in ("", "_r", "_z"))
-        for t, (top, at_r, at_z) in enumerate(zip(*tops, strict=True)):
-            time, sides = stresses["stress_time"][t], stresses[f"interface_stress_{body}"][t]
-            for layer, z in enumerate(stresses[f"interface_z_{body}"].tolist()):
-                values = mises(sides[layer]).max(axis=0)
-                for r, end, further in zip(ring.r, (0, -1), (3, -4), strict=True):
-                    reach = exclude * (1.0 + 1e-6) + 6.0 * abs(line[end] - r)
-                    near = np.hypot(at_r - r, at_z - z) <= reach
-                    if r > 0.0 and near and values[end] > RISING * values[further]:
-                        ends[body, layer, r] = (
-                            f"the largest von Mises stress of {body} at t = {time:g} s, "
-                            f"{top:.5g} MPa, is beside the free edge of the interface under "
-                            f"{body}.layers[{layer}], at r = {r:.6g}, z = {z:.6g} mm, where "
-                            "stress between two materials is infinite: this number grows as "
-                            f"stress.exclude, now {exclude:g} mm, is made smaller"
-                        )
-    for text in ends.values():
-        yield ValidityWarning("infinite_stress_at_interface", text)

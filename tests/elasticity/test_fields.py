@@ -43,7 +43,7 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, tmp_path, comm):
     path = tmp_path / "run.h5"
     run_case(CASES / case, path, overrides, comm=comm)
     result = rw.open_result(path)
-    shape = result.checkpoint.first.meshed
+    shape = result.last_state.meshed
     line = rw.read_case(CASES / case, overrides).line
     assert [b.time for b in result.boundary] == result.histories["time"].tolist()
     for row, state in enumerate(result.boundary):

@@ -135,8 +135,8 @@ def test_a_very_thin_film_is_a_winkler_foundation(comm):
 def after_wear(both, worn, mesh, comm):
     """The contact line, and the pair after the upper body has worn by so many mm all over."""
     line = contact_line(CONTACT, mesh)
-    geometry = UpdatedGeometry(both, (False, True), line, mesh, comm)
-    return line, geometry.update(np.full((2, line.n), worn))
+    geometry = UpdatedGeometry(both, line, mesh, comm)
+    return line, geometry.update(np.outer([0.0, worn], np.ones(line.n)))
 
 
 def test_uniform_wear_within_a_layer_is_a_thinner_layer(comm):

@@ -13,7 +13,7 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line
 from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.elasticity.stress.fields import max_shear, mises, principal
 from ringwear_par.elasticity.stress.largest import Search, edges
-from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
+from ringwear_par.elasticity.stress.recovery import BoundaryRecovery, StressPoints, StressRecovery
 from ringwear_par.elasticity.stress.surface import faces
 from ringwear_par.elasticity.stress.zone import ZoneStress, locate
 
@@ -170,8 +170,8 @@ def paper_stresses(n, comm, points, exclude=0.1):
     })  # fmt: skip
     pressure = rw.simulate(case, comm).profiles["pressure"][0]
     both = tuple(StressPoints(np.array(at), np.zeros(len(at))) for at in points)
-    recovery = StressRecovery(PAPER, case.line, case.mesh, (20.0, 20.0), both, exclude, comm)
-    return recovery.stresses(pressure, 0.1)
+    of = BoundaryRecovery(PAPER, case.line, case.mesh, (20.0, 20.0), comm, fine=True)
+    return StressRecovery(of, both, exclude).stresses(pressure, 0.1)
 
 
 @pytest.mark.parametrize(("n", "tolerance"), [(64, 1e-3), (128, 1e-4)])
@@ -217,8 +217,8 @@ def coated_stresses(n, thickness, young, comm):
     at = np.stack(np.meshgrid([28.7, 29.4, 30.0, 31.2], 20.0 - depth), axis=-1).reshape(-1, 2)
     sides = np.repeat([0.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0], 4)
     points = StressPoints(at, sides), StressPoints(np.empty((0, 2)), np.empty(0))
-    recovery = StressRecovery(bodies, line, Mesh(n), (20.0, 20.0), points, 0.1, comm)
-    lower, _ = recovery.stresses(pressure, 0.1)
+    of = BoundaryRecovery(bodies, line, Mesh(n), (20.0, 20.0), comm, fine=True)
+    lower, _ = StressRecovery(of, points, 0.1).stresses(pressure, 0.1)
     return lower.points.reshape(len(depth), 4, 6), lower.largest
 
 

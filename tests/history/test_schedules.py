@@ -42,7 +42,7 @@ def test_worn_in_rings_wear_by_the_integral_of_friction(scheme):
     np.testing.assert_allclose(result.histories["torque"][start:], torque[start:], rtol=1e-5)
     # force times distance
     slid = force * omega * 0.5 * (a + b) * time[-1]
-    assert result.checkpoint.state.normal_work[0] == pytest.approx(slid, rel=2e-3)
+    assert result.last_state.normal_work[0] == pytest.approx(slid, rel=2e-3)
     assert result.attributes["balance_energy"] < 1e-12
 
 

@@ -13,23 +13,23 @@ PROGRAMS = {".py", ".pyx", ".h", ".c", ".sh", ".sbatch"}
 SLACK = 150
 #: parts of the package, and most lines of them together
 ROOMS = {
-    "elasticity": 3500,
+    "elasticity": 3268,
     "contact compiled": 697,
     "wear": 1028,
-    "history": 1902,
-    "cases schedules.py errors.py": 5139,
+    "history": 1912,
+    "cases schedules.py errors.py": 5288,
     "files": 1225,
     "measuring": 2512,
-    "results": 3069,
+    "results": 3019,
     "studies": 3081,
-    "identification": 7459,
+    "identification": 7460,
     "prediction monitoring": 1477,
-    "pictures reports explorer functions": 6587,
+    "pictures reports explorer functions": 6588,
     "verify.py cli.py commands.py info.py __init__.py __main__.py version.py": 765,
-    "parallel.py petsc.py arrays.py batched.py options.py": 366,
+    "parallel.py petsc.py arrays.py batched.py options.py": 331,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 38807, "tests": 16900, "scripts slurm": 933, "docs": 1196}
+FOLDERS = {"ringwear_par": 38651, "tests": 16890, "scripts slurm": 933, "docs": 1196}
 
 
 def sizes(folder):

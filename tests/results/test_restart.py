@@ -20,13 +20,8 @@ RUNS = {
     "rows apart": (PAPER, [*SMALL, "output.every=6"], 7, "pressure"),
     "last profiles": (PAPER, [*SMALL, "output.profiles=last"], 19, "pressure"),
     "explicit": (PAPER, [*SMALL, "time.scheme=explicit", "time.step=0.05"], 7, "pressure"),
-    "error carried along": (PAPER, [*ADAPTIVE, "output.profiles=last"], 1, "checkpoint/state"),
+    "adaptive": (PAPER, [*ADAPTIVE, "output.profiles=last"], 1, "checkpoint/state"),
     "times": (PAPER, [*ADAPTIVE, "output.times=[1, 5, 6.5]"], 6, "checkpoint/state"),
-    "corrections": (
-        CASES / "chamfer.toml",
-        ["mesh.contact_elements=24", 'time={scheme="explicit", step=0.1, steps=12}',
-         "wear.lower.p0=0", "upper.grip=platen"], 5, "pressure",
-    ),
     "coating partly gone": (
         CASES / "wear_through.toml", ["mesh.contact_elements=16", "time.end=90.0"], 16,
         "share_through_lower",

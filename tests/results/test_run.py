@@ -46,7 +46,6 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
     other = [*SMALL, "wear.lower.k=2e-7"]
     for keys, how, said in (
         (SMALL, {}, "step 7"),
-        (other, {}, "another case"),
         (other, {"restart": True}, "another case"),
         (SMALL, {"restart": True, "overwrite": True}, "--overwrite"),
     ):

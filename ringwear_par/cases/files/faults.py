@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
+from ringwear_par.cases.faces import CLOSE, Shape, contact_face
 from ringwear_par.cases.schema import BY_PATH, SCHEMES
-from ringwear_par.elasticity import sections
 from ringwear_par.elasticity.mesh import contact_pieces
+from ringwear_par.elasticity.sections import Polyline, corners
 from ringwear_par.errors import Fault, InputError
 from ringwear_par.files.text import shortened
 from ringwear_par.schedules import Quantity, largest, quantity_text
@@ -200,11 +201,9 @@ def _grid_faults(name: str, keys: Mapping[str, Any]) -> list[Fault]:
     ]
 
 
-def contact_faces(
-    name: str, values: Mapping[str, Any], faults: list[str]
-) -> dict[str, sections.Polyline]:
+def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:
     """Return the contact faces of lower and upper in their own frames; add to the faults."""
-    faces: dict[str, sections.Polyline] = {"lower": (), "upper": ()}
+    faces: dict[str, Polyline] = {"lower": (), "upper": ()}
     for ring in faces:
         profile, chamfer = values.get(f"{ring}.profile"), values.get(f"{ring}.chamfer")
         if profile is not None and chamfer is not None:
@@ -213,32 +212,21 @@ def contact_faces(
             continue
         if not {f"{ring}.r", f"{ring}.z"} <= values.keys():
             continue
-        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
-        face_faults: list[str] = []
+        given = profile
         if chamfer is not None:
-            inner, outer = chamfer
-            if inner is None:  # one number is for the corners that there are
-                inner = outer if r[0] > 0 else 0.0
-            face_faults = sections.chamfer_faults((inner, outer), r, z)
-            if not face_faults:
-                faces[ring] = sections.chamfer_face((inner, outer), r)
-        if isinstance(profile, sections.Shape):
-            face_faults = sections.shape_faults(profile, r, z)
-            if not face_faults:
-                faces[ring] = sections.shape_face(profile, r)
-        elif profile is not None:
-            face_faults = sections.profile_faults(ring, profile, r, z)
-            if not face_faults:
-                faces[ring] = sections.profile_face(ring, profile, r, z)
+            given = Shape("chamfer", tuple(size for size in chamfer if size is not None))
+        if given is None:
+            continue
+        faces[ring], wrong = contact_face(ring, given, values[f"{ring}.r"], values[f"{ring}.z"])
         key = f"{ring}.{'profile' if chamfer is None else 'chamfer'}"
-        faults += [Fault(f"{name}: {ring}.{fault}", key, "conflict") for fault in face_faults]
+        faults += [Fault(f"{name}: {ring}.{fault}", key, "conflict") for fault in wrong]
     return faces
 
 
 def layer_faults(
     name: str,
     values: Mapping[str, Any],
-    faces: Mapping[str, sections.Polyline],
+    faces: Mapping[str, Polyline],
     layers: Mapping[str, tuple[RingLayer, ...]],
 ) -> list[str]:
     """Return the faults of layers that are right by themselves but not in their bodies.
@@ -299,7 +287,7 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
             for body, ring, section in zip(
                 ("lower", "upper"), case.rings, case.sections, strict=True
             )
-            if len(ring.face) > _MANY_CORNERS and len(sections.corners(section)) > _MANY_CORNERS
+            if len(ring.face) > _MANY_CORNERS and len(corners(section)) > _MANY_CORNERS
         ]
         hint = f"; {' and '.join(rough)}.profile is rough: smooth it, or give fewer points"
         faults += [
@@ -313,7 +301,7 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
         )
         faults.append(Fault(sentence, "load.displacement", "conflict"))
     inside, outside = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
-    if outside < inside - sections.CLOSE * max(1.0, case.lower.z[1]):
+    if outside < inside - CLOSE * max(1.0, case.lower.z[1]):
         sentence = (
             f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
             f"each other outside, {outside:g} mm, than inside; must take in where they meet first"

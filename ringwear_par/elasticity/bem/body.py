@@ -23,20 +23,6 @@ from ringwear_par.parallel import together
 
 
 @dataclass(frozen=True)
-class BodyCost:
-    """What boundary elements took: wall seconds on this rank."""
-
-    seconds_assembly: float = 0.0
-    seconds_solution: float = 0.0
-
-    def __add__(self, other: "BodyCost") -> "BodyCost":
-        return BodyCost(
-            self.seconds_assembly + other.seconds_assembly,
-            self.seconds_solution + other.seconds_solution,
-        )
-
-
-@dataclass(frozen=True)
 class Compliance:
     """Compliance of a body's contact line at Young's modulus 1."""
 
@@ -50,8 +36,8 @@ class Compliance:
     force_reaction: FloatArray
     #: (n,) float, mm^3; torque on the fixed face per unit shear
     torque_reaction: FloatArray
-    #: what they took
-    cost: BodyCost
+    #: (2,) float, s, wall time on this rank that assembly and solution took
+    seconds: FloatArray
 
 
 def boundary_conditions(
@@ -105,8 +91,8 @@ class BoundaryResponse:
 
 def solve_zones(
     zones: Sequence[Zone], tolerance: float, comm: MPI.Comm
-) -> tuple[list[BoundaryResponse], BodyCost]:
-    """Solve equation (5) of a body; return the response of each zone, and what it took.
+) -> tuple[list[BoundaryResponse], FloatArray]:
+    """Solve eq. (5) of a body; return the response of each zone, and seconds as in ``Compliance``.
 
     Collective on comm, the same on all ranks.
 
@@ -142,8 +128,7 @@ def solve_zones(
         e, along = np.nonzero(load >= 0)
         traction[e, along, load[e, along]] += given[e, along]
         responses.append(BoundaryResponse(zone.boundary, displacement, traction, zone.material))
-    cost = BodyCost(assembled - started, time.perf_counter() - assembled)
-    return responses, cost
+    return responses, np.array([assembled - started, time.perf_counter() - assembled])
 
 
 def body_zones(
@@ -204,7 +189,7 @@ def compliance(
     of ``zone_meshes``, ``slope`` of ``boundary_conditions``.
     """
     zones = body_zones(body, line, mesh, worn, slope)
-    responses, cost = solve_zones(zones, mesh.quadrature_tolerance, comm)
+    responses, seconds = solve_zones(zones, mesh.quadrature_tolerance, comm)
     top, base = responses[0], responses[-1]
     middle = top.boundary.elements[top.boundary.contact, 1]
     radial, axial, turning = np.moveaxis(top.displacement[middle], 1, 0)
@@ -216,5 +201,5 @@ def compliance(
         torsion=turning,
         force_reaction=area @ base.traction[held, 1],
         torque_reaction=-(moment @ base.traction[held, 2]),
-        cost=cost,
+        seconds=seconds,
     )

@@ -9,15 +9,15 @@ regular, and however fine the mesh.
 """
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliance
+from ringwear_par.elasticity.bem.body import Compliance, compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.mesh import ContactLine, Mesh, obliquity, pair_key, pair_slope
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_key, pair_slope
 from ringwear_par.elasticity.sections import Body
 
 
@@ -39,7 +39,7 @@ class ContactPair:
         true area times arm; the difference vanishes with the mesh.
     slope : (n,) float, tan alpha of the normals that pressure acts along, see ``pair_slope``.
     key : what all this depends on, see ``pair_key``.
-    cost : what it took; nothing where it was read from somewhere.
+    seconds : (2,) float, s, wall time on this rank that assembly and solution took.
     """
 
     line: ContactLine
@@ -49,16 +49,11 @@ class ContactPair:
     torque_reaction: FloatArray
     slope: FloatArray
     key: Hashable
-    cost: BodyCost = field(default_factory=BodyCost)
+    seconds: FloatArray
 
     def __repr__(self) -> str:
         a, b = self.line.edges[[0, -1]]
         return f"<ContactPair: {self.line.n} contact elements, r = {a:g} to {b:g} mm>"
-
-    @property
-    def obliquity(self) -> FloatArray:
-        """(n,), 1 / cos alpha: true area, on which friction and wear act, over projected area."""
-        return obliquity(self.slope)
 
 
 def assemble_pair(
@@ -74,7 +69,7 @@ def assemble_pair(
     ------
     ComputationError : a factorisation failed.
     """
-    return UpdatedGeometry(bodies, (False, False), line, mesh, comm).update(np.zeros((2, line.n)))
+    return UpdatedGeometry(bodies, line, mesh, comm).update(np.zeros((2, line.n)))
 
 
 class UpdatedGeometry:
@@ -83,7 +78,6 @@ class UpdatedGeometry:
     Parameters
     ----------
     bodies : lower and upper.
-    wears : which of them wear, and so move.
     line : contact elements.
     mesh : discretisation.
     comm : communicator of ``update``.
@@ -92,18 +86,16 @@ class UpdatedGeometry:
     def __init__(
         self,
         bodies: tuple[Body, Body],
-        wears: tuple[bool, bool],
         line: ContactLine,
         mesh: Mesh,
         comm: MPI.Comm,
     ) -> None:
-        self._bodies, self._wears = bodies, np.array(wears)
-        self._line, self._mesh, self._comm = line, mesh, comm
+        self._bodies, self._line, self._mesh, self._comm = bodies, line, mesh, comm
         # of each body the wear and the slope of the last update, and the compliance
         self._last: dict[int, tuple[FloatArray, Compliance]] = {}
 
     def update(self, worn: FloatArray) -> ContactPair:
-        """Return the pair after wear, its cost being that of this update. Collective on comm.
+        """Return the pair after wear, its seconds being those of this update. Collective on comm.
 
         A body is assembled unless its wear and the directions of the pressure on it, which turn
         with the other face, are those of the last update.
@@ -116,8 +108,7 @@ class UpdatedGeometry:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        line, mesh, cost = self._line, self._mesh, BodyCost()
-        worn = np.where(self._wears[:, None], worn, 0.0)
+        line, mesh, seconds = self._line, self._mesh, np.zeros(2)
         lower, upper = self._bodies
         slope = pair_slope((lower.section, upper.section), line, mesh, worn)
         for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
@@ -125,7 +116,7 @@ class UpdatedGeometry:
             if i not in self._last or not np.array_equal(self._last[i][0], shape):
                 wear = node_wear(line, worn[i])
                 self._last[i] = shape, compliance(body, line, mesh, self._comm, wear, own)
-                cost += self._last[i][1].cost
+                seconds += self._last[i][1].seconds
         both = [self._last[i][1] for i in range(2)]
         key = pair_key(self._bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
         return ContactPair(
@@ -136,5 +127,5 @@ class UpdatedGeometry:
             np.array([body.torque_reaction for body in both]),
             slope,
             (key, worn.tobytes()) if worn.any() else key,
-            cost,
+            seconds,
         )

@@ -16,7 +16,7 @@ from ringwear_par.elasticity.bem.body import (
 )
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, node_wear, zone_meshes
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_slope
-from ringwear_par.elasticity.sections import BODIES, Body, BodyName
+from ringwear_par.elasticity.sections import BODIES, Body
 from ringwear_par.elasticity.stress.fields import (
     FACES,
     BoundaryFields,
@@ -57,8 +57,8 @@ class BoundaryRecovery:
         *,
         fine: bool = False,
     ) -> None:
-        self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
-        self._comm, self._fine = comm, fine
+        self._bodies, self.line, self._mesh, self._planes = bodies, line, mesh, planes
+        self.comm, self._fine = comm, fine
         # of each body the wear and the slope that its responses are of
         self._known: dict[int, tuple[FloatArray, list[BoundaryResponse]]] = {}
 
@@ -75,7 +75,7 @@ class BoundaryRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        line, mesh, (lower, upper) = self._line, self._mesh, self._bodies
+        line, mesh, (lower, upper) = self.line, self._mesh, self._bodies
         shape = np.zeros((2, line.n)) if shape is None else shape
         slope = pair_slope((lower.section, upper.section), line, mesh, shape)
         for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
@@ -86,10 +86,24 @@ class BoundaryRecovery:
             self._known.pop(i, None)  # not two at a time
             worn = node_wear(line, shape[i])
             zones = body_zones(body, line, mesh, worn, own, fine=self._fine)
-            found, _ = solve_zones(zones, mesh.quadrature_tolerance, self._comm)
+            found, _ = solve_zones(zones, mesh.quadrature_tolerance, self.comm)
             shown = [in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found]
             self._known[i] = at, shown
         return [self._known[i][1] for i in range(2)]
+
+    def interfaces(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Return where the interfaces of lower and upper are. Not collective.
+
+        That is (m,) mm, the radii of mid-points of their elements, the same for all, increasing;
+        and (i,) mm, their heights, unworn, from the contact face on. Both are empty without layers.
+        """
+        found = []
+        for body, plane, upward in zip(self._bodies, self._planes, (1.0, -1.0), strict=True):
+            zones = zone_meshes(body.section, self.line, self._mesh, fine=self._fine)
+            middles = [zone.nodes[zone.elements[zone.below, 1]] for zone in zones[:-1]]
+            heights = [plane + upward * middle[0, 1] for middle in middles]
+            found.append((middles[0][:, 0] if middles else np.empty(0), np.array(heights)))
+        return found
 
     def fields(
         self,
@@ -157,7 +171,7 @@ class BoundaryRecovery:
 
         Mid-points of contact elements lie where gaps are taken, on the worn face.
         """
-        section, line = self._bodies[i].section, self._line
+        section, line = self._bodies[i].section, self.line
         first, *layers_below = zone_meshes(
             section, line, self._mesh, node_wear(line, wear), fine=self._fine
         )
@@ -217,15 +231,8 @@ class _UnitStress:
     #: (i, 2, m, 6, n), of the elements above and below each interface, and (m,) as ``under``
     interfaces: FloatArray
     under_interfaces: IntArray
-    #: number of zones
+    #: number of zones of a body with layers, 0 of one without
     layers: int
-
-    def largest_of_zones(self, values: FloatArray) -> FloatArray:
-        """Return the largest of von Mises stresses in each zone; (0,) where there is one."""
-        if self.layers == 1:
-            return np.empty(0)
-        by_zone = [np.where(self.zones == k, values, np.nan) for k in range(self.layers)]
-        return np.array([self.search.largest(self.points, self.zones, v).mises for v in by_zone])
 
 
 class StressRecovery:
@@ -236,27 +243,19 @@ class StressRecovery:
 
     Parameters
     ----------
-    bodies : lower and upper.
-    line : contact elements.
-    mesh : discretisation.
-    planes : mm, height of the contact plane of lower and upper in the frame of the case.
+    boundaries : of the bodies, with the fine elements for stresses.
     points : of lower and of upper.
     exclude : mm, radius round edges in which the largest stress is not looked for.
-    comm : communicator of the collective methods.
     """
 
     def __init__(
         self,
-        bodies: tuple[Body, Body],
-        line: ContactLine,
-        mesh: Mesh,
-        planes: tuple[float, float],
+        boundaries: BoundaryRecovery,
         points: tuple[StressPoints, StressPoints],
         exclude: float,
-        comm: MPI.Comm,
     ) -> None:
-        self._points, self._exclude, self._comm, self._line = points, exclude, comm, line
-        self._boundaries = BoundaryRecovery(bodies, line, mesh, planes, comm, fine=True)
+        self._boundaries, self._points, self._exclude = boundaries, points, exclude
+        self._line, self._comm = boundaries.line, boundaries.comm
         self._shape = np.empty(0)
         self._units: list[_UnitStress] = []
 
@@ -315,9 +314,12 @@ class StressRecovery:
         n_search = len(units.search.points)
         values = mises(stress)
         values[n_search:][~units.search.allows(units.points[n_search:])] = np.nan
-        largest = units.search.largest(units.points, units.zones, values)
-        in_layers = units.largest_of_zones(values)
-        return BodyStress(stress[n_search:], surface, largest, along, in_layers)
+        largest, *in_layers = (
+            units.search.largest(units.points, units.zones, np.where(there, values, np.nan))
+            for there in (True, *(units.zones == k for k in range(units.layers)))
+        )
+        of_layers = np.array([each.mises for each in in_layers])
+        return BodyStress(stress[n_search:], surface, largest, along, of_layers)
 
     def _integrated(self, i: int, zones: list[BoundaryResponse], around: FloatArray) -> _UnitStress:
         """Return the stress of lower (0) or upper (1) for unit loads. Collective on comm."""
@@ -342,26 +344,8 @@ class StressRecovery:
             towards, away = (0, 1) if i == 0 else (1, 0)  # the contact
             interfaces[at, towards] = faces[outer][boundaries[outer].below]
             interfaces[at, away] = faces[inner][boundaries[inner].above]
+        under, layers = self._line.element_at(points[:, 0]), len(zones) if len(zones) > 1 else 0
         return _UnitStress(
-            search, points, numbers, self._line.element_at(points[:, 0]), blocks,
-            faces[0][boundaries[0].contact], interfaces, self._line.element_at(middles), len(zones),
+            search, points, numbers, under, blocks, faces[0][boundaries[0].contact], interfaces,
+            self._line.element_at(middles), layers,
         )  # fmt: skip
-
-
-def interfaces(
-    body: Body, line: ContactLine, mesh: Mesh, which: BodyName, plane: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return where the stresses along the interfaces of a body are. Not collective.
-
-    That is (m,) mm, the radii of mid-points of their elements, the same for all, increasing; and
-    (i,) mm, their heights, unworn, from the contact face on. Both are empty without layers.
-
-    Parameters
-    ----------
-    plane : mm, height of the contact plane of the body in the frame of the case.
-    """
-    zones = zone_meshes(body.section, line, mesh, fine=True)
-    middles = [zone.nodes[zone.elements[zone.below, 1]] for zone in zones[:-1]]
-    upward = 1.0 if which == "lower" else -1.0
-    heights = [plane + upward * middle[0, 1] for middle in middles]
-    return middles[0][:, 0] if middles else np.empty(0), np.array(heights)
