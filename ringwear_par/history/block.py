@@ -246,7 +246,9 @@ def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
         tuple(law.linear for law in first),
         tuple(law.remembers for law in first),
         np.array(ends).swapaxes(0, 1).copy(),
-        np.array([[law.ratio(c.friction) for law in of.laws] for of, c in zip(every, cases, strict=True)]),
+        np.array(
+            [[law.ratio(c.friction) for law in of.laws] for of, c in zip(every, cases, strict=True)]
+        ),
         None if average is None else Average(average),
     )
 

@@ -7,7 +7,6 @@ from paths import PAPER
 from stored import assert_same
 
 import ringwear_par as rw
-from ringwear_par.history.elastic import assemble
 
 SMALL = {"mesh.contact_elements": 12}
 FIXED = {"time.steps": 40}
