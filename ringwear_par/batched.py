@@ -46,8 +46,3 @@ def _mapped(function: Callable[..., Any], first: Any, *others: Any) -> Any:
                 changes[field.name] = new
         return replace(first, **changes)
     return first
-
-
-def one(block: T, history: int = 0) -> T:
-    """Return one of the histories of a block, without the axis."""
-    return _mapped(lambda a: np.asarray(a[history] if a.ndim == 1 else a[..., history, :]), block)

@@ -86,23 +86,6 @@ def reason_of(error: Exception) -> str:
     return _cut(" ".join(reason.split()), LONGEST_SENTENCE)
 
 
-class HistoriesError(ComputationError):
-    """Some of many histories could not go on; each says why when it is computed alone.
-
-    Parameters
-    ----------
-    which : (B,) bool, of the histories that were together.
-    """
-
-    def __init__(self, which: Any) -> None:
-        super().__init__("some of the histories together could not go on")
-        self.which = which
-
-
-class InterfaceError(ComputationError):
-    """A step that is to end where an element comes to the end of its layer, and cannot."""
-
-
 class LawError(ComputationError):
     """A user's wear law that failed; no other step will do."""
 

@@ -8,8 +8,8 @@ from ringwear_par.errors import InputError, RingwearError, legible
 if TYPE_CHECKING:
     from petsc4py import PETSc
 
-#: of the boundary element systems, of the contact problem, and of fits to measurements
-BEM_PREFIX, CONTACT_PREFIX, FIT_PREFIX = "bem_", "contact_", "identify_"
+#: of the boundary element systems, and of the contact problem
+BEM_PREFIX, CONTACT_PREFIX = "bem_", "contact_"
 
 
 def start_petsc(words: Sequence[str]) -> None:

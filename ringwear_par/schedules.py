@@ -75,6 +75,12 @@ class Schedules:
         """Whether no history's number changes."""
         return self.t.shape[1] == 1
 
+    @cached_property
+    def _areas(self) -> FloatArray:
+        """(B, m) integrals from 0 to each of the times."""
+        pieces = 0.5 * (self.y[:, 1:] + self.y[:, :-1]) * np.diff(self.t)
+        return np.append(self.y[:, :1] * self.t[:, :1], pieces, axis=1).cumsum(axis=1)
+
     def at(self, time: FloatArray) -> FloatArray:
         """Return the numbers at times, (B,)."""
         if self.constant:
@@ -89,11 +95,10 @@ class Schedules:
         """Return the integrals from 0 to times, (B,)."""
         if self.constant:
             return self.y[:, 0] * time
-        last = np.full_like(self.t[:, :1], np.inf)
-        ends = np.clip(time[:, None], self.t, np.append(self.t[:, 1:], last, axis=1))
-        at_ends = np.stack([self.at(column) for column in ends.T], axis=1)
-        before = self.y[:, 0] * np.minimum(time, self.t[:, 0])
-        return before + (0.5 * (self.y + at_ends) * (ends - self.t)).sum(axis=1)
+        rows = np.arange(len(time))
+        i = np.maximum((self.t <= time[:, None]).sum(axis=1) - 1, 0)
+        past, mean = time - self.t[rows, i], 0.5 * (self.y[rows, i] + self.at(time))
+        return self._areas[rows, i] + mean * past
 
     def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Return the means over intervals, (B,)."""
@@ -137,7 +142,7 @@ def mean(quantity: Quantity, start: Any, end: Any) -> Any:
     """Return the mean over an interval of time; a number is its own."""
     if isinstance(quantity, Table):
         return integral(quantity, start, end) / (end - start)
-    return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity
+    return quantity
 
 
 def mean_of_product(a: Quantity, b: Quantity, start: float, end: float) -> float:

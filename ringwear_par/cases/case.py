@@ -329,8 +329,9 @@ class Case:
         inside: set[float] = set()
         for schedule in (load.omega, load.force, load.displacement, self.friction):
             inside.update(bends(schedule))
-        for law in self.laws:
-            inside.update(law.breakpoints if law is not None else ())
+        for of_body in self.laws:
+            for law in of_body.laws if of_body is not None else ():
+                inside.update(law.breakpoints)
         times: list[float] = []
         for time in sorted(t for t in inside if t < self.time.end):
             if not times or time - times[-1] > SAME_TIME * time:

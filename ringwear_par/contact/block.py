@@ -59,11 +59,11 @@ class BlockSolver:
             if not len(rows):
                 break
             some = self.compliance, self.depth, gap, load, p, d
-            c, depth, of, force, q, e = some if whole else take(some, rows)
+            c, depth, gaps, loads, q, e = some if whole else take(some, rows)
             q, e = (q.copy(), e.copy()) if whole else (q, e)  # lines are known by their pressures
             lines = self._lines(wear, q, None if whole else rows)
             sets = np.empty(len(rows), np.int32)
-            _rows.solve(c, of, force, self.by_force, *lines, self.relative, depth, q, e, sets)
+            _rows.solve(c, gaps, loads, self.by_force, *lines, self.relative, depth, q, e, sets)
             p[rows], d[rows], failed[rows] = q, e, (sets < 0) | ~np.isfinite(e)
             iterations[rows] += np.abs(sets)
             if wear is None or wear.linear:

@@ -84,7 +84,7 @@ class TaoContact:
             thing.destroy()
 
     def with_compliance(self, compliance: Compliance) -> "TaoContact":
-        """Let the histories have other compliances, of as many elements; return the solver."""
+        """Solve contacts of other histories, of as many elements; return the solver."""
         self.compliance = compliance
         return self
 

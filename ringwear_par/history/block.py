@@ -12,8 +12,7 @@ from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.schedules import Schedules, Table, padded, value
-from ringwear_par.wear.at import LocalState
-from ringwear_par.wear.laws import LayeredLaw, averaging
+from ringwear_par.wear.laws import averaging
 from ringwear_par.wear.step import Average, StepWear, Wearing
 
 
@@ -60,6 +59,8 @@ class Block:
     given_steps: bool
     #: (w, B, m) factors on the rates of wear in the steps to each limit; None: 1
     paces: FloatArray | None
+    #: (w, B, 1) those of the present steps
+    pace: FloatArray | None = None
 
     @classmethod
     def of(
@@ -69,7 +70,7 @@ class Block:
         step_times: Sequence[Sequence[float]] | None = None,
         paces: Sequence[FloatArray] | None = None,
     ) -> "Block":
-        """Return the block of cases of one ``block_key`` on the same contact elements.
+        """Return the block of cases of one ``block_key``.
 
         Parameters
         ----------
@@ -101,7 +102,7 @@ class Block:
             tolerance=np.array([c.time.tolerance for c in cases]),
             limits=limits,
             stored=_stored(cases, limits),
-            every=np.array([c.output.every * _by_steps(c) for c in cases]),
+            every=np.array([0 if c.output.times else c.output.every for c in cases]),
             stop={k: np.array([s.get(k, np.inf) for s in stop]) for s in stop for k in s},
             deepest=np.array([[0.5 * np.ptp(c.rings[i].z) for i in bodies] for c in cases]),
             open_ends=tuple(e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut),
@@ -143,9 +144,8 @@ class Block:
         sliding: tuple[FloatArray, FloatArray],
         wear: FloatArray,
         step: FloatArray,
-        pace: FloatArray | None = None,
     ) -> StepWear:
-        """Return the wear of an implicit step, see ``StepWear``.
+        """Return the wear of an implicit step at the present pace, see ``StepWear``.
 
         Parameters
         ----------
@@ -153,10 +153,8 @@ class Block:
         """
         r, (omega, friction) = self.line.r, sliding
         speed, slid = omega[:, None] * r, self.omega.integral(time)[:, None] * r
-        at = LocalState(
-            time[:, None], r, speed, friction[:, None], speed, slid, number=self.number[:, None]
-        )
-        return StepWear(self.wearing, layer, at, wear, step, self.line.obliquity, pace)
+        at = time[:, None], speed, friction[:, None], slid, self.number[:, None]
+        return StepWear(self.wearing, layer, r, at, wear, step, self.line.obliquity, self.pace)
 
     def sliding(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return speeds (rad/s) and coefficients of friction at times, (B,)."""
@@ -169,12 +167,21 @@ def total(of_bodies: FloatArray) -> FloatArray:
 
 
 def block_key(case: Case) -> Hashable:
-    """Return the key of cases of the same contact elements that can be in one block."""
+    """Return the key of cases that can be in one block.
+
+    They have the same contact elements, slopes of faces, open ends of the mesh, nominal areas, and
+    layers on bodies that do not wear; other heights, moduli and Poisson's ratios.
+    """
     laws = tuple(law and law.key for law in case.laws)
+    elements = case.contact, case.mesh, *((ring.r, ring.face) for ring in case.rings)
+    layers = tuple(
+        len(ring.layers) if law else tuple(layer.thickness for layer in ring.layers)
+        for ring, law in zip(case.rings, case.laws, strict=True)
+    )
     output = case.output
     alone = id(case) if case.follows_wear or output.boundary != "none" else 0
     stored = output.fields, output.profiles, bool(output.times), case.stress
-    return case.time.scheme, case.load.force is not None, laws, *stored, alone
+    return case.time.scheme, case.load.force is not None, laws, elements, layers, *stored, alone
 
 
 def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
@@ -187,11 +194,6 @@ def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
             known[key] = number(case)
         numbers.append(known[key])
     return numbers
-
-
-def _by_steps(case: Case) -> bool:
-    """Tell whether states are stored by the number of steps."""
-    return not case.output.times
 
 
 def _limits(case: Case) -> list[float]:
@@ -226,8 +228,7 @@ def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> Fl
 def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
     """Return the laws of a body of all cases, layer by layer."""
     every: list[Any] = [c.laws[body] for c in cases]
-    layers = [law.laws if isinstance(law, LayeredLaw) else (law,) for law in every]
-    columns = [*zip(*layers, strict=True)]
+    columns = [*zip(*(law.laws for law in every), strict=True)]
     none = np.full((1, len(line.r)), np.inf)
     ends = [np.concatenate([c.layer_ends(body), none]) if len(columns) > 1 else none for c in cases]
     first, length = [column[0] for column in columns], every[0].length
@@ -245,7 +246,9 @@ def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
         tuple(law.linear for law in first),
         tuple(law.remembers for law in first),
         np.array(ends).swapaxes(0, 1).copy(),
-        np.array([law.ratios(c.friction) for law, c in zip(every, cases, strict=True)]),
+        np.array(
+            [[law.ratio(c.friction) for law in of.laws] for of, c in zip(every, cases, strict=True)]
+        ),
         None if average is None else Average(average),
     )
 

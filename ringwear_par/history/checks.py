@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, relative
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -36,7 +36,9 @@ BALANCES = (
     "torque",  # on the fixed faces against the friction torque, the worse of both bodies
     "reaction",  # axial force on the fixed faces against that of the pressure, likewise
     "energy",  # worn volume, of all layers, against k times the dissipated energy; 0 where p0 > 0
-    "residual",  # natural residual of the contact, eq. (3), over the largest pressure
+    # natural residual of the contact, eq. (3), over the largest pressure, as if the wear there is
+    # were given: steps in blocks hold to their own, in which wear gives way to pressure as well
+    "residual",
     "step_error",  # mm, the error of wear that steps are estimated to make over the history
 )
 #: those that hold on any mesh, by any steps
@@ -138,7 +140,12 @@ def _energy_defect(block: Block, state: State) -> Any:
 
 def _defect(value: Any, exact: Any) -> Any:
     """Return |value - exact| / exact, 0 where nothing is expected."""
-    return relative(abs(value - exact), exact)
+    return _over(abs(value - exact), exact)
+
+
+def _over(part: Any, whole: Any) -> Any:
+    """Return a part over the whole, 0 where that is 0 or less; NaN where either is."""
+    return np.divide(part, whole, out=np.zeros_like(whole), where=~(whole <= 0.0))
 
 
 def _measures(block: Block, state: State) -> dict[str, Any]:
@@ -167,7 +174,7 @@ def _measures(block: Block, state: State) -> dict[str, Any]:
         for layer, (start, end) in enumerate(zip(starts, body.ends[:-1], strict=False)):
             if not case.follows_wear:
                 share = ((np.clip(worn, start, end) - start) / (end - start) * area * p).sum(axis=1)
-                measures[worn_share(body.body, layer)] = relative(share, force)
+                measures[worn_share(body.body, layer)] = _over(share, force)
     return measures
 
 
@@ -208,4 +215,4 @@ def _unlike_slopes(block: Block, p: FloatArray, wear: FloatArray) -> tuple[Float
     load = block.line.area * p
     apart = np.where(np.ptp(angles, axis=0) > MOST_ANGLE, load, 0.0)
     rows, e = np.arange(len(p)), apart.argmax(axis=1)
-    return relative(apart.sum(axis=1), load.sum(axis=1)), block.line.r[e], *angles[:, rows, e]
+    return _over(apart.sum(axis=1), load.sum(axis=1)), block.line.r[e], *angles[:, rows, e]

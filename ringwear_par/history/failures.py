@@ -9,28 +9,25 @@ from ringwear_par.errors import ComputationError, UnfitError
 from ringwear_par.history.block import Block
 from ringwear_par.history.schemes import Solver
 from ringwear_par.history.state import State, Step
-from ringwear_par.wear.laws import LayeredLaw
 
 
-def _laws(block: Block) -> list[object]:
-    """Return the laws that compute the rates of a block."""
-    laws: list[object] = []
-    for law in block.cases.every[0].laws:
-        laws += law.laws if isinstance(law, LayeredLaw) else [law]
-    return laws
+def _faults(block: Block) -> list[dict[int, str]]:
+    """Return what the laws of users do wrong, by the numbers of histories."""
+    bodies = block.cases.every[0].laws
+    return [law.faults for body in bodies if body is not None for law in body.laws]
 
 
 def forget_faults(block: Block) -> None:
     """Let laws of users forget what they did wrong in other blocks."""
-    for law in _laws(block):
-        getattr(law, "faults", {}).clear()
+    for faults in _faults(block):
+        faults.clear()
 
 
 def _law_fault(block: Block, row: int, comm: MPI.Comm) -> str:
     """Return what a user's law did wrong in a history on any rank, "" for nothing. Collective."""
     number = int(block.number[row])
-    faults = (getattr(law, "faults", {}).get(number, "") for law in _laws(block))
-    return next(filter(None, comm.allgather(next(filter(None, faults), ""))), "")
+    mine = next(filter(None, (faults.get(number) for faults in _faults(block))), "")
+    return next(filter(None, comm.allgather(mine)), "")
 
 
 def contact_failure(block: Block, row: int, comm: MPI.Comm) -> ComputationError:

@@ -30,7 +30,7 @@ from ringwear_par.history.failures import (
 )
 from ringwear_par.history.following import Following
 from ringwear_par.history.layers import enter_layers, settled
-from ringwear_par.history.schemes import Scheme, Solver, explicit, implicit, sdirk2, start
+from ringwear_par.history.schemes import BY_NAME, Solver, start
 from ringwear_par.history.state import State
 from ringwear_par.options import contact_solver
 from ringwear_par.parallel import as_on_first_rank, on_any_rank
@@ -41,8 +41,6 @@ _GAP = 0.2
 _IDLE = 0.125
 #: fewest elements of which ranks share the contact of one history
 SHARED = 512
-#: schemes by their name in cases
-_SCHEMES: Mapping[str, Scheme] = {"adaptive": sdirk2, "implicit": implicit, "explicit": explicit}
 
 
 def _deepest(block: Block, state: State, body: int) -> FloatArray:
@@ -103,7 +101,7 @@ def simulate(
                 block, save, solver=tao, first=first, following=following, every=every, comm=comm
             )
     case = block.cases.every[0]
-    scheme = _SCHEMES[case.time.scheme]
+    scheme = BY_NAME[case.time.scheme]
     share = step_share(block) if not block.given_steps else None
     solver = solver or BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
     forget_faults(block)
@@ -127,20 +125,22 @@ def simulate(
         if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
             rows = np.flatnonzero(going)
             block, solver, state, limit, going = take((block, solver, state, limit, going), rows)
+            if isinstance(solver, TaoContact):  # no dataclass, which ``take`` would cut
+                solver = solver.with_compliance(block.compliance)
         if following is not None:
             assert isinstance(solver, TaoContact)
             block, solver, state = following.follow(block, solver, state)
             if share is not None:
                 state = replace(state, length=_meshed_length(block, state))
         end, is_cut = as_on_first_rank(comm, next_ends(block, state, limit, going))
-        pace = None if block.paces is None else block.paces[:, np.arange(len(block)), limit]
-        step = scheme(block, solver, state, end, pace)
+        if block.paces is not None:
+            block = replace(block, pace=block.paces[:, np.arange(len(block)), limit, None])
+        step = scheme(block, solver, state, end)
         if block.layered:
             step = enter_layers(block, state, step)
-        step = replace(step, failed=on_any_rank(comm, step.failed))
-        verdict = judge(block, state, step, share, is_cut, going, order)
-        # ranks may differ by round-off, or by their processor: the first decides
-        accepted, stuck, length = as_on_first_rank(comm, verdict)
+        # ranks may differ by round-off, or by their processor: all go on with the first one's
+        step = as_on_first_rank(comm, replace(step, failed=on_any_rank(comm, step.failed)))
+        accepted, stuck, length = judge(block, state, step, share, is_cut, going, order)
         before = state
         state = _after(block, state, step.state, accepted, step_error(block, step, share))
         if block.layered and (entered := state.layer != before.layer).any():

@@ -1,7 +1,6 @@
 """Time schemes: functions that make one step of B histories, to ends of their own.
 
-``scheme(block, solver, state, end, pace) -> Step``. Elements stay in their layers throughout a
-step; ``pace`` (w, B) are factors on the rates of wear in it, None for 1.
+``scheme(block, solver, state, end) -> Step``. Elements stay in their layers throughout a step.
 """
 
 import math
@@ -18,7 +17,7 @@ from ringwear_par.history.block import Block, total
 from ringwear_par.history.state import State, Step, step_of
 
 Solver = BlockSolver | TaoContact
-Scheme = Callable[[Block, Solver, State, FloatArray, FloatArray | None], Step]
+Scheme = Callable[[Block, Solver, State, FloatArray], Step]
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 #: weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -29,9 +28,7 @@ _DEFECT = np.array([_START, _STAGE, 1.0 - _START - _STAGE]) - _WEIGHTS
 _ENTRY = 0.05
 
 
-def sdirk2(
-    block: Block, solver: Solver, state: State, end: FloatArray, pace: FloatArray | None
-) -> Step:
+def sdirk2(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     """Two implicit stages, L-stable and of second order; their embedded error, filtered once.
 
     Alexander, SIAM J. Numer. Anal. 14 (1977) 1006-1021.
@@ -39,10 +36,10 @@ def sdirk2(
     h, wear, p, d = end - state.time, state.wear, state.pressure, state.approach
     times = state.time, state.time + GAMMA * h, end
     sliding = [block.sliding(t) for t in times]
-    rates, moments = [_paced(state.rates, pace)], [block.moment(p)]
+    rates, moments = [state.rates], [block.moment(p)]
     failed, iterations = np.zeros(len(block), bool), state.iterations
     for t, slide, share in zip(times[1:], sliding[1:], ((1.0 - GAMMA) / GAMMA, 1.0), strict=True):
-        stage = block.step_wear(state.layer, t, slide, wear, GAMMA * h, pace)
+        stage = block.step_wear(state.layer, t, slide, wear, GAMMA * h)
         p, d, lost, more = solver.solve(block.worn_gap(wear), block.load.at(t), stage, p, d)
         depths = stage.depths(p)
         wear = wear + (depths if share == 1.0 else share * depths)
@@ -63,7 +60,7 @@ def sdirk2(
         energy=state.energy + h * (_WEIGHTS @ powers),
         normal_work=state.normal_work + h * (_WEIGHTS @ works),
         wear=wear,
-        rates=rates[-1] if pace is None else rates[-1] / pace[..., None],
+        rates=rates[-1],
         pressure=p,
         approach=d,
         iterations=iterations,
@@ -71,12 +68,10 @@ def sdirk2(
     return step_of(after, error, h * np.abs(_DEFECT @ powers), powers.max(axis=0), failed)
 
 
-def implicit(
-    block: Block, solver: Solver, state: State, end: FloatArray, pace: FloatArray | None
-) -> Step:
+def implicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     """The pressure at the end of a step wears throughout it (backward Euler)."""
     h, sliding = end - state.time, _mean_sliding(block, state, end)
-    stage = block.step_wear(state.layer, end, sliding, state.wear, h, pace)
+    stage = block.step_wear(state.layer, end, sliding, state.wear, h)
     gap = block.worn_gap(state.wear)
     contact = solver.solve(gap, block.load.at(end), stage, state.pressure, state.approach)
     depths, p = stage.depths(contact.pressure), contact.pressure
@@ -84,21 +79,15 @@ def implicit(
     return _first_order(block, state, end, depths, rates, p, contact, sliding)
 
 
-def explicit(
-    block: Block, solver: Solver, state: State, end: FloatArray, pace: FloatArray | None
-) -> Step:
+def explicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     """The pressure at the start of a step wears throughout it, eq. (6) of the paper."""
     h, sliding, p = end - state.time, _mean_sliding(block, state, end), state.pressure
-    now = block.step_wear(state.layer, state.time, sliding, state.wear, h, pace)
-    depths = h[:, None] * _paced(now.rates(p), pace)
+    now = block.step_wear(state.layer, state.time, sliding, state.wear, h)
+    depths = h[:, None] * now.rates(p)
     wear = state.wear + depths
     contact = solver.solve(block.worn_gap(wear), block.load.at(end), None, p, state.approach)
     rates = rates_at(block, state.layer, end, wear, contact.pressure)
     return _first_order(block, state, end, depths, rates, p, contact, sliding)
-
-
-def _paced(rates: FloatArray, pace: FloatArray | None) -> FloatArray:
-    return rates if pace is None else rates * pace[..., None]
 
 
 def _mean_sliding(block: Block, state: State, end: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -136,9 +125,13 @@ def _first_order(
 def rates_at(
     block: Block, layer: IntArray, time: FloatArray, wear: FloatArray, p: FloatArray
 ) -> FloatArray:
-    """Return rates of wear at an instant, (w, B, n) mm/s, at pace 1."""
+    """Return rates of wear at an instant, (w, B, n) mm/s, at the present pace."""
     ones = np.ones_like(time)
     return block.step_wear(layer, time, block.sliding(time), wear, ones).rates(p)
+
+
+#: by the name that ``time.scheme`` gives them
+BY_NAME: dict[str, Scheme] = {"adaptive": sdirk2, "implicit": implicit, "explicit": explicit}
 
 
 def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:

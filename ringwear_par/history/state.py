@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, short_repr
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class State:
     time: FloatArray
     energy: FloatArray
     normal_work: FloatArray
-    #: (w, B, n) mm and mm/s along the axis, of the bodies that wear; rates are those at pace 1
+    #: (w, B, n) mm and mm/s along the axis, of the bodies that wear
     wear: FloatArray
     rates: FloatArray
     #: (w, B, n) layers that elements are in, 0 at the unworn face
@@ -41,8 +41,6 @@ class State:
     #: mm by which gaps are smaller since slopes have turned, see ``following``; None of others
     meshed: FloatArray | None = None
     offset: FloatArray | None = None
-
-    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

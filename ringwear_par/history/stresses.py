@@ -1,6 +1,6 @@
 """Stresses and boundary fields of the stored states that cases ask for."""
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,19 +173,20 @@ class Stresses:
 
     Parameters
     ----------
-    cases : on one contact pair; they ask for the same stresses, or for none.
-    of : returns those of a case; calls are collective on their communicator.
+    cases : of one ``stress_key``, or without stresses.
+    comm : communicator; calls are collective.
     points_only : keep no grids and no faces.
     """
 
     def __init__(
         self,
         cases: Sequence[Case],
-        of: Callable[[Case], CaseStresses],
+        comm: MPI.Comm,
         *,
         points_only: bool = False,
     ) -> None:
-        self._cases, self._of, self._points_only = cases, of, points_only
+        self._cases, self._points_only = cases, points_only
+        self._of = None if cases[0].stress is None else CaseStresses(cases[0], comm)
         #: arrays of each state so far by name, of each history
         self.states: list[list[dict[str, Any]]] = [[] for _ in cases]
         #: why stresses of some histories could not be computed
@@ -206,19 +207,18 @@ class Stresses:
         Exception : those of a single history cannot be computed.
         """
         case = self._cases[number]
-        if case.stress is None or number in self.failures:
+        if self._of is None or case.stress is None or number in self.failures:
             return {}
         if not selected(case.stress.times, moment, last_stored):
             return {}
         try:
-            of = self._of(case)
-            state = of.at(case, moment)
+            state = self._of.at(case, moment)
         except Exception as error:
             if len(self._cases) == 1:
                 raise
             self.failures[number] = error
             return {}
-        infinite = _infinite(case, of.where, state, moment)
+        infinite = _infinite(case, self._of.where, state, moment)
         for name in _FIELDS if self._points_only else ():
             state.pop(name, None)
         self.states[number].append(state)
@@ -227,7 +227,7 @@ class Stresses:
     def arrays(self, number: int) -> dict[str, Any]:
         """Return the stresses of a history so far by name, nothing where it has none."""
         states = self.states[number]
-        return stacked(states) | self._of(self._cases[number]).where if states else {}
+        return stacked(states) | self._of.where if states and self._of is not None else {}
 
 
 def _infinite(

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from ringwear_par.history.block import Block
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS, Worst
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import Boundaries, CaseStresses, Stresses
+from ringwear_par.history.stresses import Boundaries, Stresses
 from ringwear_par.results.fields import stored_states, stress_columns
 from ringwear_par.results.key_numbers import end_numbers
 from ringwear_par.results.result import (
@@ -39,10 +39,9 @@ class Recorder:
 
     Parameters
     ----------
-    cases : of one ``block_key``.
+    cases : of one ``block_key``, and ``stress_key`` where they ask for stresses.
     comm : communicator of their histories.
     before : result of the interrupted history that continues, of one case; None: it starts.
-    stresses : returns the stresses of a case; None: made here.
     results : whether there are to be results, which hold what it takes to continue.
     pair_is_shared : whether others have paid for the contact pair.
     """
@@ -53,18 +52,13 @@ class Recorder:
         comm: MPI.Comm,
         before: Result | None = None,
         *,
-        stresses: Callable[[Case], CaseStresses] | None = None,
         results: bool = True,
         pair_is_shared: bool = False,
     ) -> None:
         self._cases, self._comm, self._pair_is_shared = cases, comm, pair_is_shared
         self._rows, self._worst = Rows(cases), Worst(len(cases))
         self._boundaries = Boundaries(cases[0], comm)
-        of = stresses or (lambda case: CaseStresses(case, comm))
-        made = {} if cases[0].stress is None else {0: of(cases[0])}
-        self._stresses = Stresses(
-            cases, stresses or (lambda case: made[0]), points_only=not results
-        )
+        self._stresses = Stresses(cases, comm, points_only=not results)
         #: the last states that histories went on from; None before the first
         self.last: Instant | None = None
         #: of histories that have ended: their last instant, and their place in it

@@ -322,7 +322,7 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         },
         # whether worn volume is a constant times the friction energy, by layer, of a body
         "energy_identity": int(
-            any(all(law.ratios(case.friction)) for law in case.laws if law is not None)
+            any(all(law.ratio(case.friction) for law in of.laws) for of in case.laws if of)
         ),
     }
 

@@ -65,11 +65,10 @@ def _most_side_by_side(case: Case) -> int:
 
 
 def _side_by_side(cases: Mapping[int, Case]) -> list[list[int]]:
-    """Return the numbers of cases on the same elements that step together."""
+    """Return the numbers of cases that step together."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in cases.items():
-        elements = (case.contact, case.mesh) if case.stress is None else stress_key(case)
-        groups[elements, block_key(case)].append(number)
+        groups[case.stress and stress_key(case), block_key(case)].append(number)
     parts: list[list[int]] = []
     for numbers in groups.values():
         # those of the same moduli share a matrix

@@ -163,7 +163,7 @@ def running_in(
 
 def no_wear(p: FloatArray, at: LocalState) -> Values:
     """Nothing wears."""
-    return np.zeros_like(p), np.zeros_like(p)
+    return 0.0 * at.speed * p, 0.0 * at.speed
 
 
 @dataclass(frozen=True)
@@ -314,6 +314,11 @@ class Law:
         return f"{self.name}({values})"
 
     @property
+    def laws(self) -> tuple["Law", ...]:
+        """Itself, as of a body without layers, see ``LayeredLaw``."""
+        return (self,)
+
+    @property
     def name(self) -> str:
         """Value of ``law`` in case files, or the class of a user's object."""
         return self.kind.name
@@ -401,10 +406,10 @@ class Law:
             return k
         return k / friction if self.kind.function is archard and friction > 0.0 else None
 
-    def ratios(self, friction: Quantity) -> list[float]:
+    def ratio(self, friction: Quantity) -> float:
         """Return worn volume per dissipated energy, 1/MPa, 0 where it is not always the same."""
         ends = {self.per_energy(of(friction)) or 0.0 for of in (smallest, largest)}
-        return [ends.pop() if len(ends) == 1 else 0.0]
+        return ends.pop() if len(ends) == 1 else 0.0
 
     def unit(self, name: str) -> str:
         """Return the unit of a quantity, "1" where it is not declared."""
@@ -454,15 +459,6 @@ class LayeredLaw:
     def key(self) -> Hashable:
         """Equal for laws that can be in one block, see ``Law.key``."""
         return tuple(law.key for law in self.laws)
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times, s, at which a parameter's table bends."""
-        return tuple(sorted({time for law in self.laws for time in law.breakpoints}))
-
-    def ratios(self, friction: Quantity) -> list[float]:
-        """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
-        return [ratio for law in self.laws for ratio in law.ratios(friction)]
 
     def describe(self) -> str:
         """Return the formulas with their numbers and units, layer by layer."""

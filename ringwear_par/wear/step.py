@@ -59,28 +59,29 @@ class StepWear:
     ----------
     wearing : bodies that wear, w of them.
     layer : (w, B, n) layers that elements are in throughout the step.
-    at : speed, friction and time at its end, or means over it.
+    r : (n,) mm.
+    at : time, speed, friction, distance slid and number of the histories, at its end or in the
+        mean: (B, 1) or (B, n), see ``LocalState``.
     wear : (w, B, n) mm, along the axis, before it.
     step : (B,) s.
     obliquity : (n,) 1 / cos alpha of sloping faces; None: flat ones.
-    pace : (w, B) factors on the rates in the step; None: 1.
+    pace : (w, B, 1) factors on the rates in the step; None: 1.
     """
 
     def __init__(
         self,
         wearing: tuple[Wearing, ...],
         layer: IntArray,
-        at: LocalState,
+        r: FloatArray,
+        at: tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
         wear: FloatArray,
         step: FloatArray,
         obliquity: FloatArray | None = None,
         pace: FloatArray | None = None,
     ) -> None:
-        self._wearing, self._layer, self._at, self._wear = wearing, layer, at, wear
-        self._obliquity = obliquity
-        ones = np.ones((len(wearing), len(step)))
-        #: (w, B, 1) s
-        self._steps = (step * (ones if pace is None else pace))[..., None]
+        self._wearing, self._layer, self._r, self._at = wearing, layer, r, at
+        self._wear, self._obliquity = wear, obliquity
+        self._step, self._pace = step[:, None], pace
         #: whether the wear of an element depends on its own pressure alone
         self.is_local = all(body.average is None for body in wearing)
         #: whether lines hold at all pressures
@@ -104,7 +105,7 @@ class StepWear:
     def depths(self, p: FloatArray) -> FloatArray:
         """Return what bodies lose along the axis, (w, B, n) mm, at pressures (B, n)."""
         if not self.is_local:
-            return self._steps * self.rates(p)
+            return self._step * self.rates(p)
         const, slope = self.lines(p)
         return np.maximum(const + slope * p, 0.0)
 
@@ -131,7 +132,7 @@ class StepWear:
             return np.maximum(line, 0.0).sum(axis=0)[0], (slope * wears).sum(axis=0)[0]
         depth, slopes = np.zeros_like(p), np.zeros((len(p), len(p)))
         for i, body in enumerate(self._wearing):
-            step = self._steps[i, row, 0]
+            step = self._step[row, 0]
             matrix = np.eye(len(p)) if body.average is None else body.average.matrix
             rate, slope = self._averaged(i, matrix, p[None], rows)
             depth += step * rate[0]
@@ -152,8 +153,8 @@ class StepWear:
 
     def _lines(self, p: FloatArray, rows: IntArray | None) -> tuple[FloatArray, FloatArray]:
         consts, slopes = [], []
+        step = self._step if rows is None else self._step[rows]
         for i, body in enumerate(self._wearing):
-            step = self._steps[i] if rows is None else self._steps[i, rows]
             if any(body.remember):
                 depth, slope = self._settled(i, body, p, rows, step)
             else:
@@ -199,8 +200,7 @@ class StepWear:
         depth: FloatArray | float,
     ) -> Values:
         """Return rate, slope (and d rate / d wear) along the axis, worn by a further depth."""
-        at, wear, layer, ends = self._at, self._wear[i], self._layer[i], body.ends
-        of_histories = at.time, at.speed, at.friction, at.slid, at.number, wear, layer, ends
+        of_histories = *self._at, self._wear[i], self._layer[i], body.ends
         if rows is not None:
             of_histories = take(of_histories, rows)
         time, speed, friction, slid, number_of, wear, layer, ends = of_histories
@@ -211,7 +211,7 @@ class StepWear:
                 continue
             lost = np.maximum(worn - ends[number - 1], 0.0) if number else worn
             lost = lost if secant is None else lost / secant
-            own = LocalState(time, at.r, speed, friction, lost, slid, number=number_of)
+            own = LocalState(time, self._r, speed, friction, lost, slid, number=number_of)
             new = law(p, own, **self._values(body.arguments[number], rows))
             if any(body.remember) and len(new) == 2:
                 new = *new, np.zeros_like(p)
@@ -219,13 +219,16 @@ class StepWear:
                 new = tuple(np.where(here, a, b) for a, b in zip(new, values, strict=True))
             values = new
         assert values is not None
+        if self._pace is not None:
+            pace = self._pace[i] if rows is None else self._pace[i, rows]
+            values = tuple(pace * value for value in values)
         return values if secant is None else (secant * values[0], secant * values[1], *values[2:])
 
     def _values(
         self, arguments: dict[str, FloatArray | Schedules], rows: IntArray | None
     ) -> dict[str, Any]:
         """Return what a law takes at the time, of some histories."""
-        time = self._at.time[:, 0]
+        time = self._at[0][:, 0]
         values = {
             name: value.at(time)[:, None] if isinstance(value, Schedules) else value
             for name, value in arguments.items()

@@ -1,6 +1,7 @@
 """Wear laws of users, from files and as objects: called for one history at a time, and checked."""
 
 import ast
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -9,14 +10,14 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, derivative, read_only
+from ringwear_par.arrays import FloatArray, read_only
 from ringwear_par.errors import InputError, LawError
 from ringwear_par.files.text import read_text
 from ringwear_par.wear.at import LocalState
 
-#: pressure (MPa) and worn depth (mm) of which difference quotients take a part as their step,
-#: where the value itself is smaller
-_SMALL_PRESSURE, _SMALL_WEAR = 1e-3, 1e-6
+#: step of difference quotients over the pressure or the worn depth: their error is its square,
+#: their round-off eps over it; MPa and mm, what counts as these where they are smaller
+_STEP, _SMALL_PRESSURE, _SMALL_WEAR = 1e-5, 1e-3, 1e-6
 #: number of pressures at which laws are tried
 _TRIED = 33
 
@@ -175,25 +176,18 @@ class UserCode:
         )  # fmt: skip
 
     def _call(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the result of a function of the code, (n,), as a copy.
-
-        It is checked unless it is a complex step's, which ``derivative`` compares with differences.
-        """
-        real = not (np.iscomplexobj(p) or np.iscomplexobj(local.wear))
+        """Return the result of a function of the code, (n,), as a copy, checked."""
         try:
             with np.errstate(all="ignore"):
                 result = self.get(name)(read_only(p), local)
-            if result is None or (real and np.iscomplexobj(result)):
+            if result is None or np.iscomplexobj(result):
                 raise TypeError(f"it returns {type(result).__name__}, not real numbers")
-            result = np.asarray(result, dtype=float if real else complex)
-            result = np.array(np.broadcast_to(result, p.shape))
+            result = np.array(np.broadcast_to(np.asarray(result, dtype=float), p.shape))
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
             raise LawError(
                 f"{self.called}: {name}() failed at time {local.time:g} s: "
                 f"{type(error).__name__}: {error}"
             ) from error
-        if not real:
-            return result
         bad = ~np.isfinite(result)
         if name != "d_rate_dwear":
             bad |= result < 0.0
@@ -208,6 +202,17 @@ class UserCode:
                 f"{_place(local, e, p[e])}; must be {allowed}"
             )
         return result
+
+
+def derivative(
+    function: Callable[[FloatArray], FloatArray], x: FloatArray, smallest: float
+) -> FloatArray:
+    """Return the derivative of a function whose every value depends on one entry of x only.
+
+    By a one-sided difference, which needs nothing below x, where rates may have no sense.
+    """
+    h = _STEP * np.maximum(np.abs(x), smallest)
+    return (4.0 * function(x + h) - 3.0 * function(x) - function(x + 2.0 * h)) / (2.0 * h)
 
 
 def try_law(code: UserCode, local: LocalState, pressure: float) -> None:

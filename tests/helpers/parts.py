@@ -13,7 +13,6 @@ from wearing import ThresholdLaw as ThresholdLaw
 
 #: names by the module that they are in
 PLACES = {
-    "arrays": "derivative",
     "cases.case": "Load Output Ring RingLayer Stepping",
     "cases.files.law_trials": "refuse_bad_laws",
     "cases.files.reading": "make_case parse_case",
@@ -30,7 +29,7 @@ PLACES = {
     "elasticity.mesh": "ContactLine Mesh case_slopes common_slope",
     "elasticity.sections": "Material",
     "elasticity.stress.fields": "COMPONENTS SIDES max_shear mises principal",
-    "errors": "HistoriesError LawError RingwearError legible",
+    "errors": "LawError RingwearError legible",
     "files.measurements": "read_measurements",
     "files.smoothing": "curve penalised",
     "files.spreadsheets": "write_xlsx",
@@ -62,6 +61,7 @@ PLACES = {
     "studies.together": "computed",
     "studies.plot": "plot_stored",
     "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging threshold",
+    "wear.user": "derivative",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}
 

@@ -3,10 +3,8 @@
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
-import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.batched import one
 from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.history.block import Block
@@ -66,10 +64,11 @@ def state_of(block, state, number=0):
     """Return one of the states of a block."""
     both = replace(state, wear=block.both(state.wear), rates=block.both(state.rates))
     meshed = None if state.meshed is None else block.both(state.meshed)[:, number]
-    values = vars(one(both, number))
-    own = {
-        n: float(v) if isinstance(v, np.ndarray) and not v.ndim else v for n, v in values.items()
-    }
+    own = {}
+    for name, values in vars(both).items():
+        if values is not None:
+            values = values[number] if values.ndim == 1 else values[..., number, :]
+            own[name] = values if values.ndim else float(values)
     p = own["pressure"]
     gap = block.compliance.gap(block.worn_gap(state.wear), state.pressure, state.approach)[number]
     force = float(block.line.area @ p)

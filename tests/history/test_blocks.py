@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parts import results_of, simulate_one
+from parts import computed, results_of, simulate_one
 from paths import CASES, PAPER
 from tracing import ALONE
 
@@ -49,7 +49,8 @@ COMPANIES = {
                           (1e-8, 1e-7)]),
     "distance": (EXPLICIT, [law("running-in", k=1e-8, k_start=3e-8, distance=x) for x in
                             (100.0, 300.0)]),
-    "non-local": ({}, [law("non-local", k=k, p0=10.0, length=0.3) for k in (1e-8, 1e-7)]),
+    "non-local": ({}, [{**law("non-local", k=k, p0=10.0, length=0.3), "lower.young": young}
+                       for k, young in ((1e-8, 3e3), (1e-7, 10e3), (4e-7, 30e3))]),
     "no wear": ({"wear.lower": None}, [{"load.pressure": p} for p in (20.0, 90.0)]),
     "forces in time": ({}, [{"load.pressure": [[0.0, p], [20.0, p], [21.0, x * p], [60.0, p]]}
                             for p, x in ((80.0, 0.2), (40.0, 1.5), (80.0, 0.0))]),
@@ -97,6 +98,40 @@ def test_a_history_is_the_same_in_any_company(name):
         for variable, exact in other.histories.items():
             size = np.abs(exact).max(initial=1e-6)
             np.testing.assert_allclose(one.histories[variable], exact, atol=1e-8 * size)
+
+
+def cones(slope):
+    lower, upper = ([[r, 20.0 + slope * (r - 30.0)] for r in ends]
+                    for ends in ((20.0, 40.0), (28.5, 31.5)))  # fmt: skip
+    return {"lower.z": [0.0, lower[1][1]], "lower.profile": lower,
+            "upper.z": [upper[0][1], 40.0], "upper.profile": upper}  # fmt: skip
+
+
+COATED = {"young": 2e5, "poisson": 0.3}
+#: of each of two cases, which have pairs of their own
+PAIRS = {
+    "heights": [{"upper.z": [20.0, z]} for z in (25.0, 40.0)],
+    "cones": [cones(slope) for slope in (0.1, 1.0)],
+    "coatings": [{"upper.layers": [{**COATED, "thickness": t}]} for t in (0.01, 0.3)],
+    "open ends": [{"upper.r": [28.5, r], "mesh.contact": [28.5, 31.5]} for r in (31.5, 33.0)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_cases_of_other_pairs_have_their_own_slopes_layers_and_ends(name):
+    cases = [rw.read_case(PAPER, {**BASE, **IMPLICIT, **own}) for own in PAIRS[name]]
+    parts, errors = computed(cases, {}, results=True)
+    assert not errors
+    assert len(parts) == (1 if name == "heights" else 2)
+    found = {number: result for part in parts for number, result in part.results().items()}
+    for number, case in enumerate(cases):
+        if name == "open ends" and number == 1:
+            assert "reached the end of mesh.contact" in str(found[number])
+            continue
+        alone = rw.simulate(case, ALONE)
+        for variable in ("torque", "worn_volume_lower", "dissipated_energy"):
+            exact = alone.histories[variable]
+            assert found[number].histories[variable] == pytest.approx(exact, rel=1e-3)
 
 
 FAILURES = {

@@ -100,7 +100,7 @@ def test_orders(name):
         state = last[-1]
         for i in range(number):
             end = np.array([40.0 + 20.0 * (i + 1) / number])
-            state = scheme(block, solver, state, end, None).state
+            state = scheme(block, solver, state, end).state
         return state.wear
 
     exact = wear(schemes.sdirk2, 512)
@@ -118,8 +118,8 @@ def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(name):
     simulate(block, lambda instant: last.append(instant.state))
     solver, exact = BlockSolver(block.compliance, True, np.full(1, np.inf), 1e-9), last[-1]
     for end in np.linspace(30.0, 34.0, 81)[1:]:
-        exact = schemes.sdirk2(block, solver, exact, np.array([end]), None).state
-    found = getattr(schemes, name)(block, solver, last[-1], np.array([34.0]), None)
+        exact = schemes.sdirk2(block, solver, exact, np.array([end])).state
+    found = getattr(schemes, name)(block, solver, last[-1], np.array([34.0]))
     error = np.abs((found.state.wear - exact.wear).sum(axis=0)).max()
     assert 0.1 < found.error.max() / error < 3.0
 

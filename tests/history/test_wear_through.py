@@ -67,6 +67,13 @@ def test_a_layer_that_wears_as_the_body_is_none(pair, scheme):
     assert layered.last.energy == pytest.approx(plain.last.energy, rel=1e-5)
 
 
+def test_nothing_wears_under_a_layer_of_a_body_that_does_not(pair):
+    own, wear = {"wear": {**SOFT, "k": 4e-7}}, {"wear.lower": None}
+    last = trace(case_of(own, **wear, **{"time.end": 30.0}), pair).last
+    assert (last.layer == 1).all()
+    assert last.wear[0] == pytest.approx(0.003, rel=1e-9)
+
+
 @pytest.mark.parametrize("factor", [1.0, 1.02])
 def test_no_thin_layer_is_passed_over(pair, factor):
     """Though it wears like the one above: the body below wears 50 times as fast."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import h5py
 import numpy as np
 import pytest
-from parts import Law, derivative, refuse_bad_laws, run_case
+from parts import Law, refuse_bad_laws, run_case
 from paths import PAPER
 from wearing import RunningInLaw, sliding
 
@@ -204,13 +204,3 @@ def test_an_object_may_say_more():
     law = Law.of(Mine(lambda p, local: 1e-8 * p, remembers=False, breakpoints=(3.0, 1), length=0.5))
     assert (law.length, law.remembers, law.breakpoints) == (0.5, False, (1.0, 3.0))
     assert Law.of(law) is law
-
-
-def test_complex_steps_are_trusted_only_where_differences_agree():
-    """Absolute values lose the imaginary part, interpolation refuses it."""
-    x = np.array([0.5, 1.0, 2.0])
-    for function in (np.exp, lambda x: np.exp(np.abs(x)), lambda x: np.exp(x.real)):
-        assert derivative(function, x, 1e-3) == pytest.approx(np.exp(x), rel=1e-8)
-    table = lambda x: np.interp(x, [0.0, 4.0], [0.0, 8.0])  # noqa: E731
-    assert derivative(table, x, 1e-3) == pytest.approx(np.full(3, 2.0), rel=1e-8)
-    assert derivative(lambda x: x**2, 0.0, 1e-3) == pytest.approx(0.0, abs=1e-12)
