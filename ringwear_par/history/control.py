@@ -14,8 +14,8 @@ STEP_SHARE, _LAYERED = 0.125, 0.25
 _FIRST_WEAR = 50.0
 #: error of the dissipated energy of one step, over that of the history if the power stayed
 _ENERGY = 1e-4
-#: shortest step, over the length of the history
-_SHORTEST = 1e-12
+#: shortest step, over the length of the history; of a given step, over its own mean length
+_SHORTEST, _SHORTEST_PART = 1e-12, 1e-3
 
 
 def step_share(block: Block) -> float:
@@ -80,7 +80,8 @@ def judge(
     else:
         length = np.where(is_cut & good, np.maximum(h * change, before.length), h * change)
     next_one = np.where(step.too_far, step.interface - before.time, length)
-    stuck = going & ~accepted & ~(next_one > _SHORTEST * block.limits[:, -1])  # or NaN
+    shortest = _SHORTEST if share is not None else _SHORTEST_PART / block.limits.shape[1]
+    stuck = going & ~accepted & ~(next_one > shortest * block.limits[:, -1])  # or NaN
     return accepted, stuck, np.where(going, length, before.length)
 
 

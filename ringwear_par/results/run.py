@@ -290,8 +290,10 @@ def _failed(run: Run, path: Path, error: RingwearError) -> NoReturn:
     if isinstance(error, UnfitError):
         raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
     last = run.recorder.last
-    if isinstance(error, InputError) or last is None or not last.state.steps[0]:
+    if isinstance(error, InputError):
         raise error
+    if last is None or not last.state.steps[0]:
+        raise ComputationError(f"{path}: {error}") from error
     run.save(str(error))
     raise ComputationError(
         f"{path}: {error}. {run.output} holds the steps before it: ringwear plot and report show "

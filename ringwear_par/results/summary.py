@@ -95,7 +95,7 @@ def checks(result: Result) -> tuple[list[str], str]:
     wrong = [
         f"{n.label} {n.text}"
         for n in balances
-        if n.value > (_MOST_RESIDUAL if n.name == "residual" else _MOST_ERROR)
+        if n.value > (_MOST_RESIDUAL if n.name == "balance_residual" else _MOST_ERROR)
     ]
     mesh = max(number.value for number in numbers if number.group == MESH_BALANCES)
     worst = max((number.value for number in balances), default=0.0)

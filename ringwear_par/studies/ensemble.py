@@ -83,7 +83,7 @@ OF_CASES = {
         Variable("seconds", ("case",), "s", "wall time of the case"),
         Variable(
             "imbalance", ("case",), "1",
-            "worst balance of force, volume, energy or KKT residual of its steps",
+            "worst error of the balances of force, energy and contact of its steps",
         ),
         Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
         Variable("elements", ("case",), "1", "number of contact elements", integer=True),

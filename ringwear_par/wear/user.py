@@ -18,8 +18,8 @@ from ringwear_par.wear.at import LocalState
 #: step of difference quotients over the pressure or the worn depth: their error is its square,
 #: their round-off eps over it; MPa and mm, what counts as these where they are smaller
 _STEP, _SMALL_PRESSURE, _SMALL_WEAR = 1e-5, 1e-3, 1e-6
-#: number of pressures at which laws are tried
-_TRIED = 33
+#: number of pressures at which laws are tried; times that the steepest interval is halved then
+_TRIED, _HALVED = 33, 30
 
 
 class WearLaw(Protocol):
@@ -220,8 +220,8 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
 
     Raises
     ------
-    InputError : it is none, wears without pressure, or gives NaN, negative rates or rates that
-        fall.
+    InputError : it is none, wears without pressure, or gives NaN, negative rates, or rates that
+        fall or jump.
     """
     if isinstance(code.source, type) or not callable(code.get("rate")):
         is_class = isinstance(code.source, type)
@@ -243,6 +243,29 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
         must = "must not fall with pressure" if i else "must be 0 without pressure"
         place = _place(local, e, p[i, e])
         raise InputError(f"{code.called}: rate() {what} {rates[i, e]:g}{place}; {must}")
+    _refuse_jump(code, local, p, rates)
+
+
+def _refuse_jump(code: UserCode, local: LocalState, p: FloatArray, rates: FloatArray) -> None:
+    """Refuse a rate that still rises by as much where its steepest interval is a point."""
+    i, e = np.unravel_index(np.diff(rates, axis=0).argmax(), (len(p) - 1, p.shape[1]))
+    low, high, below, above = p[i, e], p[i + 1, e], rates[i, e], rates[i + 1, e]
+    rise = above - below
+    for _ in range(_HALVED):
+        middle = 0.5 * (low + high)
+        try:
+            rate = float(code.values(np.full_like(local.r, middle), local)[0][e])
+        except LawError as error:
+            raise InputError(str(error)) from error
+        if rate - below > above - rate:
+            high, above = middle, rate
+        else:
+            low, below = middle, rate
+    if rise > 0.0 and above - below > 0.1 * rise:
+        raise InputError(
+            f"{code.called}: rate() jumps from {below:g} to {above:g}"
+            f"{_place(local, int(e), high)}; must be continuous"
+        )
 
 
 def _place(local: LocalState, element: int, p: float) -> str:

@@ -32,6 +32,7 @@ def law(tmp_path, comm):
         ("raise SystemExit(0)", "SystemExit"),
         ("def d_rate_dp(p, at): return p", "define rate"),
         (GOOD.replace("* at.speed * p", "* p * (500 - p)"), "falls"),
+        (GOOD.replace("* at.speed * p", "* p * (1 + 9 * (p > 79))"), r"jumps .* p = 79 MPa"),
     ],
 )
 def test_bad_files_are_refused_before_work(law, tmp_path, comm, source, words):
