@@ -52,6 +52,7 @@ class BlockSolver:
         p, d, whole = p.copy(), d.copy() if self.by_force else load.copy(), True
         count, rows = len(gap), np.arange(len(gap))
         failed, iterations = np.zeros(count, bool), np.zeros(count, np.int64)
+        lost = np.zeros(count, bool)  # what is no problem at all, as of laws that give no numbers
         if self.by_force and load.min() <= 0.0:  # some of the bodies just touch
             lifted, whole = load <= 0.0, False
             p[lifted], d[lifted], rows = 0.0, gap[lifted].min(axis=1), rows[~lifted]
@@ -64,15 +65,20 @@ class BlockSolver:
             lines = self._lines(wear, q, None if whole else rows)
             sets = np.empty(len(rows), np.int32)
             _rows.solve(c, gaps, loads, self.by_force, *lines, self.relative, depth, q, e, sets)
-            p[rows], d[rows], failed[rows] = q, e, (sets < 0) | ~np.isfinite(e)
+            posed = np.isfinite(gaps.sum(axis=1))
+            if wear is not None and not wear.linear:  # laws may give no numbers
+                posed &= np.isfinite((lines[0] + lines[1]).sum(axis=(0, 2)))
+            p[rows], d[rows], lost[rows] = q, e, ~posed
+            failed[rows] = (sets < 0) | ~np.isfinite(e)
             iterations[rows] += np.abs(sets)
             if wear is None or wear.linear:
                 break
             rows, whole = rows[sets > 0], False  # of the others, lines were right before
         else:
             failed[rows] = True
-        found = Contact(p, d, failed, iterations)
-        return self._rescued(found, gap, load, wear) if failed.any() else found
+        found = Contact(p, d, failed & ~lost, iterations)
+        found = self._rescued(found, gap, load, wear) if found.failed.any() else found
+        return found._replace(failed=found.failed | lost)
 
     def _lines(
         self, wear: StepWear | None, p: FloatArray, rows: IntArray | None
