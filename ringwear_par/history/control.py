@@ -80,7 +80,9 @@ def judge(
     else:
         length = np.where(is_cut & good, np.maximum(h * change, before.length), h * change)
     next_one = np.where(step.too_far, step.interface - before.time, length)
-    shortest = _SHORTEST if share is not None else _SHORTEST_PART / block.limits.shape[1]
+    # parts of given steps whose contacts are not solved need not become as short
+    failing = step.failed & (share is None)
+    shortest = np.where(failing, _SHORTEST_PART / block.limits.shape[1], _SHORTEST)
     stuck = going & ~accepted & ~(next_one > shortest * block.limits[:, -1])  # or NaN
     return accepted, stuck, np.where(going, length, before.length)
 

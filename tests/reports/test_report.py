@@ -74,7 +74,7 @@ def test_the_page_of_a_run_has_the_numbers_of_its_summary(folder, pages):
 
 def test_a_wrong_balance_has_not_passed(folder, tmp_path):
     result = rw.open_result(folder / "run.h5")
-    result.attributes["balance_residual"] = 1e-2
+    result.attributes["balance_residual"] = 0.1
     rw.report(result, tmp_path / "page.html")
     assert re.search(r"checks\s*1 wrong", Read((tmp_path / "page.html").read_text()).text)
 

@@ -14,9 +14,9 @@ SLACK = 150
 #: parts of the package, and most lines of them together
 ROOMS = {
     "elasticity": 3268,
-    "contact compiled": 697,
+    "contact compiled": 703,
     "wear": 1055,
-    "history": 1911,
+    "history": 1913,
     "cases schedules.py errors.py": 5277,
     "files": 1225,
     "measuring": 2512,
@@ -29,7 +29,7 @@ ROOMS = {
     "parallel.py petsc.py arrays.py batched.py options.py": 263,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 38593, "tests": 16909, "scripts slurm": 933, "docs": 1196}
+FOLDERS = {"ringwear_par": 38601, "tests": 16912, "scripts slurm": 933, "docs": 1196}
 
 
 def sizes(folder):
