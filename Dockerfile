@@ -9,7 +9,7 @@ RUN python3 -m venv --system-site-packages /opt/ringwear && ls -d /usr/lib/petsc
 COPY LICENSE pyproject.toml setup.py /src/
 COPY docs/package.md /src/docs/
 COPY ringwear_par /src/ringwear_par
-RUN /opt/ringwear/bin/pip install --no-cache-dir "/src[pages,surrogate,xlsx]" "numpy<2" && rm -rf /src
+RUN /opt/ringwear/bin/pip install --no-cache-dir "/src[explore,surrogate,xlsx]" "numpy<2" && rm -rf /src
 ENV PATH=/opt/ringwear/bin:$PATH OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 RUN ringwear verify > /dev/null
 RUN useradd --create-home tribologist

@@ -168,7 +168,7 @@ def parser() -> argparse.ArgumentParser:
     a.output("REPORT.html")
     a = command(
         "explore", "open a page in the browser with sliders for the numbers of a case",
-        "explorer.server:explore", "ringwear explore case.toml", "solves")
+        "explorer.explore:explore", "ringwear explore case.toml", "solves")
     a.case()
     a.add_argument("--port", type=_whole(0, 65535), default=0, metavar="N",
                    help="port of the page's address (default: any free one)")

@@ -206,7 +206,7 @@ class Case:
     def _repr_html_(self) -> str:
         """Return the drawing of the rig, for notebooks."""
         # pictures stand on cases, which know nothing else of them
-        return str(import_module("ringwear_par.pictures.rig").rig_svg(self))
+        return str(import_module("ringwear_par.pictures.rig").rig_html(self))
 
     @property
     def overlap(self) -> tuple[float, float]:

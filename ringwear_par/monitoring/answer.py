@@ -205,10 +205,10 @@ class Monitor:
             curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
             bands=[Band(time, low, high, level, ("low", "high"))],
         )  # fmt: skip
-        charts = [blocks.Chart("key", of_key, f"{key} and its interval over the time of the test")]
+        charts = [blocks.chart(of_key, f"{key} and its interval over the time of the test")]
         known = [one for one in records(self._last.test.series) if one[0].quantity in _DRAWN][:1]
         charts += [
-            blocks.Chart("record", self._record(*one, unit, seconds, level),
+            blocks.chart(self._record(*one, unit, seconds, level),
                          "Readings, and histories of this specimen")
             for one in known
         ]  # fmt: skip
@@ -216,7 +216,7 @@ class Monitor:
         summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
         sections = [
             blocks.Section("Summary", summary),
-            blocks.Section("Over time", [blocks.Charts(charts)]),
+            blocks.Section("Over time", [blocks.Pictures(charts)]),
         ]
         refresh = 0 if answer["ended"] else _REFRESH
         return blocks.Page("Running test", answer["test"], sections, refresh=refresh)

@@ -20,6 +20,7 @@ from ringwear_par.pictures.style import (
     number_text,
     plain,
     set_legend,
+    svg,
 )
 
 #: letters of labels in a line of a legend, letters that the mark beside each takes, and most
@@ -107,6 +108,21 @@ def panel_figure(
         panel_grid(chart, rows, heights)
         add_letters(chart)
     return chart
+
+
+def panel_svg(panel: Panel, size: tuple[float, float]) -> bytes:
+    """Return a panel as a drawing (SVG) with its legend, for pages, which have its title.
+
+    Parameters
+    ----------
+    size : inches.
+    """
+    with matplotlib.rc_context(STYLE):
+        chart = NotebookFigure(figsize=size, layout="constrained")
+        axes = chart.add_subplot()
+        draw(axes, panel)
+        draw_labels(axes, panel)
+        return svg(chart)
 
 
 def add_letters(figure: Any) -> None:

@@ -1,7 +1,5 @@
 """The drawing of a rig: bodies, layers, grips, load, rotation and contact line of a case."""
 
-import base64
-import io
 import itertools
 import math
 from typing import Any
@@ -13,7 +11,7 @@ from matplotlib.patches import Polygon
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.units import in_signs
-from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain
+from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain, svg
 from ringwear_par.schedules import Quantity, Table, quantity_text
 
 #: inches of the figure, and the share of its width that bodies take; words take the rest
@@ -69,19 +67,15 @@ def draw_rig(case: Case, laws: tuple[str, str] | None = None) -> NotebookFigure:
     return figure
 
 
-def rig_svg(case: Case, laws: tuple[str, str] | None = None) -> str:
-    """Return ``draw_rig`` as an SVG element that pages can hold. Not collective."""
-    picture = io.BytesIO()
-    figure = draw_rig(case, laws)
-    with matplotlib.rc_context({"svg.hashsalt": "rig"}):  # equal cases, equal texts
-        figure.savefig(picture, format="svg", metadata={"Date": None, "Creator": None})
-    text = picture.getvalue().decode()
+def rig_svg(case: Case, laws: tuple[str, str] | None = None) -> bytes:
+    """Return ``draw_rig`` as a drawing (SVG) that pages can hold. Not collective."""
+    return svg(draw_rig(case, laws))
+
+
+def rig_html(case: Case) -> str:
+    """Return ``draw_rig`` as an element of HTML, for notebooks. Not collective."""
+    text = rig_svg(case).decode()
     return text[text.index("<svg") :]
-
-
-def rig_address(case: Case) -> str:
-    """Return ``draw_rig`` as the address of an image. Not collective."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(rig_svg(case).encode()).decode()}"
 
 
 def _proportions(case: Case) -> tuple[float, float]:

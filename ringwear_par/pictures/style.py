@@ -171,6 +171,14 @@ def save_figure(figure: Figure, output: Path, dpi: float | None = None) -> None:
         temporary.write_bytes(picture)
 
 
+def svg(figure: Figure) -> bytes:
+    """Return a figure as a drawing (SVG); equal figures give equal texts."""
+    content = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "ringwear"}):
+        figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None})
+    return content.getvalue()
+
+
 def picture(draw: Callable[[], Figure], name: str) -> bytes | None:
     """Return a picture, PNG; None, with a warning, where its numbers are too large for axes.
 

@@ -5,7 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ringwear_par.pictures.matplotlib import panel_svg
 from ringwear_par.pictures.panel import Panel
+
+SVG = "image/svg+xml"
+#: inches of charts beside others, and of those that take the whole width
+_NARROW, _WIDE = 4.6, 9.4
 
 
 @dataclass(frozen=True)
@@ -15,8 +20,6 @@ class Lines:
     lines: Sequence[str]
     #: whether they speak against the results
     warning: bool = False
-    #: caption under which they are shown only when they are asked for; "": they are shown
-    folded: str = ""
     kind = "lines"
 
 
@@ -61,8 +64,6 @@ class Table:
     header: Sequence[str]
     #: texts, or numbers as their texts
     rows: Sequence[Sequence[str]]
-    #: whether columns can be sorted by their headers
-    sortable: bool = False
     #: whether it is shown only when it is asked for
     folded: bool = False
     kind = "table"
@@ -85,8 +86,10 @@ class Picture:
     content: bytes
     #: MIME type
     form: str
+    #: what it shows, for readers who cannot see it
     alt: str
-    kind = "picture"
+    #: whether it takes the whole width
+    wide: bool = True
 
     @property
     def address(self) -> str:
@@ -94,42 +97,22 @@ class Picture:
         return f"data:{self.form};base64,{base64.b64encode(self.content).decode()}"
 
 
-@dataclass(frozen=True)
-class Chart:
-    """A chart."""
-
-    #: of its HTML element, without blanks, unique on the page
-    name: str
-    panel: Panel
-    #: what it shows, for readers who cannot see it
-    label: str
-    #: pixels
-    height: int = 320
-    #: values of y by instant of the last curve of the panel, where there is a slider
-    frames: Sequence[Sequence[float]] = ()
-    #: whether it takes the whole width
-    wide: bool = False
-    kind = "chart"
-
-    @property
-    def caption(self) -> str:
-        """Its title, and the note about what it does not show."""
-        return ", ".join(filter(None, (self.panel.title, self.panel.note)))
+def chart(panel: Panel, alt: str, height: float = 3.2, *, wide: bool = False) -> Picture:
+    """Return the picture of a panel, of a height in inches."""
+    caption = ", ".join(filter(None, (panel.title, panel.note)))
+    drawing = panel_svg(panel, (_WIDE if wide else _NARROW, height))
+    return Picture(caption, drawing, SVG, alt, wide)
 
 
 @dataclass(frozen=True)
-class Charts:
-    """Charts beside each other, as far as there is room."""
+class Pictures:
+    """Pictures beside each other, as far as there is room."""
 
-    charts: Sequence[Chart]
-    #: what a slider above them goes through, in words; () for none
-    instants: Sequence[str] = ()
-    #: where it stands at the beginning
-    first: int = 0
-    kind = "charts"
+    pictures: Sequence[Picture]
+    kind = "pictures"
 
 
-Block = Lines | Tiles | Table | Source | Picture | Charts
+Block = Lines | Tiles | Table | Source | Pictures
 
 
 @dataclass(frozen=True)
@@ -152,20 +135,10 @@ class Page:
     refresh: int = 0
 
     @property
-    def charts(self) -> list[Chart]:
-        """All its charts."""
-        return [
-            chart
-            for section in self.sections
-            for block in section.blocks
-            if isinstance(block, Charts)
-            for chart in block.charts
-        ]
-
-    @property
-    def pictures(self) -> int:
-        """Number of figures that are no charts."""
-        return sum(isinstance(b, Picture) for section in self.sections for b in section.blocks)
+    def figures(self) -> int:
+        """The number of its pictures."""
+        blocks = (block for section in self.sections for block in section.blocks)
+        return sum(len(block.pictures) for block in blocks if isinstance(block, Pictures))
 
 
 def reproduced(

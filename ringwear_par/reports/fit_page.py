@@ -71,18 +71,18 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
     samples = dict(zip(draws.keys, draws.values(draws.material).T, strict=True))
     blocks = (
         page.Lines(_bands(level)),
-        page.Charts(_series_charts(series)),
+        page.Pictures(_series_charts(series)),
         _series(outcome),
     )
     sections.append(page.Section("Data, model and residuals", blocks))
     if inputs:
-        sections.append(page.Section("Measured inputs", [_inputs(outcome), page.Charts(inputs)]))
+        sections.append(page.Section("Measured inputs", [_inputs(outcome), page.Pictures(inputs)]))
     keys = [
-        page.Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
-        for i, row in enumerate(key_panels.fitted_keys(outcome, samples))
-        for j, panel in enumerate(row)
+        page.chart(panel, f"{panel.y.label} over {panel.x.label}; numbers above")
+        for row in key_panels.fitted_keys(outcome, samples)
+        for panel in row
     ]
-    sections.append(page.Section("Draws of the keys", [page.Charts(keys)]))
+    sections.append(page.Section("Draws of the keys", [page.Pictures(keys)]))
     if outcome["alternatives"]:
         sections.append(
             page.Section(
@@ -187,12 +187,12 @@ def _scatter(outcome: Mapping[str, Any]) -> list[page.Block]:
     if not scattering:
         return [page.Lines([f"Intervals {summary.of_specimens(outcome)}"])]
     blocks: list[page.Block] = []
-    for number, (key, entry) in enumerate(scattering.items(), start=1):
+    for key, entry in scattering.items():
         sentences = "; ".join(summary.scatter_lines(entry, level))
         blocks.append(page.Lines([f"{key} of the material, {with_signs(sentences)}"]))
         panel = key_panels.specimens(key, entry, level)
-        chart = page.Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
-        blocks.append(page.Charts([chart]))
+        chart = page.chart(panel, f"Values of {key} in each specimen")
+        blocks.append(page.Pictures([chart]))
     return blocks
 
 
@@ -222,20 +222,20 @@ def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 def stored_readings(
     path: Path, level: float
-) -> tuple[list[fit_panels.Series], str, list[page.Chart]]:
+) -> tuple[list[fit_panels.Series], str, list[page.Picture]]:
     """Return the series, the fit file's text, and charts of inputs."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         series = [_series_of(group, level) for group in _groups(file)]
-        inputs = [_input_chart(number, group) for number, group in file.get("inputs", {}).items()]
+        inputs = [*map(_input_chart, file.get("inputs", {}).values())]
         return series, file.attrs["fit"], inputs
 
 
-def _input_chart(number: str, group: h5py.Group) -> page.Chart:
+def _input_chart(group: h5py.Group) -> page.Picture:
     name, key, unit = (group.attrs[n] for n in ("experiment", "key", "unit"))
     panel = fit_panels.measured_input(
         name, key, unit, *(group[n][()] for n in ("time", "data", "curve"))
     )
-    return page.Chart(f"input-{number}", panel, f"Readings of {key} in {name}, and its curve")
+    return page.chart(panel, f"Readings of {key} in {name}, and its curve")
 
 
 def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
@@ -254,20 +254,15 @@ def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
     )  # fmt: skip
 
 
-def _series_charts(drawn: Sequence[fit_panels.Series]) -> list[page.Chart]:
+def _series_charts(drawn: Sequence[fit_panels.Series]) -> list[page.Picture]:
     charts = []
-    for number, series in enumerate(drawn, start=1):
-        if len(series.x) > 1:
-            name, title = f"series-{number}", series.title
-            charts += [
-                page.Chart(name, fit_panels.readings(series), f"Data, model and band of {title}"),
-                page.Chart(
-                    f"{name}-residuals", fit_panels.residuals(series), f"Residuals of {title}"
-                ),
-            ]
+    for series in [series for series in drawn if len(series.x) > 1]:
+        alt = f"Data, model and band of {series.title}"
+        charts.append(page.chart(fit_panels.readings(series), alt))
+        charts.append(page.chart(fit_panels.residuals(series), f"Residuals of {series.title}"))
     if single := [series for series in drawn if len(series.x) == 1]:
-        panel, height = fit_panels.single_readings(single), 160 + 60 * len(single)
-        charts.append(page.Chart("single", panel, "Series of one reading", height, wide=True))
+        panel, height = fit_panels.single_readings(single), 1.6 + 0.6 * len(single)
+        charts.append(page.chart(panel, "Series of one reading", height, wide=True))
     return charts
 
 
@@ -315,14 +310,9 @@ def _designed(outcome: Mapping[str, Any]) -> page.Section:
                f"measured as in {outcome['measured_as']}"]),
         page.Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
+    alt = "Predicted standard deviations after the best designs"
     panels = key_panels.design_panels(outcome)
-    charts = [
-        page.Chart(
-            f"design-{number}", panel, "Predicted standard deviations after the best designs"
-        )
-        for number, panel in enumerate(panels)
-    ]
-    blocks.append(page.Charts(charts))
+    blocks.append(page.Pictures([page.chart(panel, alt) for panel in panels]))
     return page.Section("The next tests", blocks)
 
 

@@ -103,14 +103,12 @@ def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
     return page.Tiles([*tiles[:_MOST_TILES], page.checks_tile(doubts)])
 
 
-def _records(outcome: Mapping[str, Any]) -> page.Charts:
+def _records(outcome: Mapping[str, Any]) -> page.Pictures:
     """Return the charts of all records."""
-    return page.Charts([
-        page.Chart(
-            f"{channel}-{number}", panel, f"Line chart: {panel.y.label} over time, {panel.title}"
-        )
-        for number, (name, entry) in enumerate(outcome["tests"].items(), start=1)
-        for channel, panel in panels(name, entry).items()
+    return page.Pictures([
+        page.chart(panel, f"Line chart: {panel.y.label} over time, {panel.title}")
+        for name, entry in outcome["tests"].items()
+        for panel in panels(name, entry).values()
     ])  # fmt: skip
 
 

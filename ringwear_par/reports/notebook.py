@@ -6,7 +6,7 @@ from html import escape
 from ringwear_par.cases.units import with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import RingwearError
-from ringwear_par.pictures.rig import rig_svg
+from ringwear_par.pictures.rig import rig_html
 from ringwear_par.results.result import Outcome
 from ringwear_par.studies.study import Study
 
@@ -50,4 +50,4 @@ def study_html(study: Study) -> str:
         cells = (escape(name), escape(words), units[name])
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
     table = "<table><tr><th>key</th><th>values</th><th>unit</th></tr>" + "".join(rows) + "</table>"
-    return f"<div>{_PRE}{escape(repr(study))}</pre>{table}{rig_svg(study.case(0))}</div>"
+    return f"<div>{_PRE}{escape(repr(study))}</pre>{table}{rig_html(study.case(0))}</div>"

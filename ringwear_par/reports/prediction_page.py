@@ -43,10 +43,10 @@ def prediction_page(folder: Path) -> page.Page:
         if warnings:
             summary.append(page.Lines(warnings, warning=True))
         summary.append(page.Table("Quantiles of the draws", header, rows))
-        chart = page.Chart("band", band_panel(outcome), label, wide=True)
+        chart = page.chart(band_panel(outcome), label, 4.0, wide=True)
         sections = [
             page.Section("Summary", summary),
-            page.Section("Penetration", [page.Charts([chart])]),
+            page.Section("Penetration", [page.Pictures([chart])]),
             page.reproduced(
                 "Save the case file as case.toml, then type:", f"{command}\n",
                 [page.Source("Case file", outcome["case"])], outcome["versions"],

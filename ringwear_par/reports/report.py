@@ -5,12 +5,12 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import cast
 
 from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
-from ringwear_par.reports.blocks import Chart, Page
+from ringwear_par.reports.blocks import Page
 from ringwear_par.results.files import result_of
 from ringwear_par.results.result import Outcome, Result
 from ringwear_par.studies.ensemble import RESULTS
@@ -31,8 +31,8 @@ _NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 def report(source: Outcome | str | Path, output: str | Path) -> str:
     """Write a page of stored results; return what was written. On one rank.
 
-    It is one HTML file: pictures, charts that can be zoomed and their program are in it, and it
-    fetches nothing. Laws that a case has in files of the user's are not run.
+    It is one HTML file: its figures are drawings in it, and it fetches nothing. Laws that a case
+    has in files of the user's are not run.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def report(source: Outcome | str | Path, output: str | Path) -> str:
     --------
     >>> import ringwear_par as rw
     >>> rw.report(rw.simulate(rw.read_case("scripts/cases/paper.toml")), "run.html")
-    'run.html: Wear history of a test, 12 figures'
+    'run.html: Wear history of a test, 7 figures'
     """
     output = Path(output)
     check_page(output)
@@ -77,8 +77,7 @@ def write_page(page: Page, output: Path) -> str:
             temporary.write_text(html_text(page), encoding="utf-8")
     except OSError as error:
         raise ComputationError(f"{output}: {error.strerror or error}") from error
-    figures = len(page.charts) + page.pictures
-    return f"{output}: {page.kind}, {counted(figures, 'figure')}"
+    return f"{output}: {page.kind}, {counted(page.figures, 'figure')}"
 
 
 def check_page(output: Path) -> None:
@@ -92,12 +91,10 @@ def check_page(output: Path) -> None:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
     try:
-        import bokeh  # noqa: F401
         import jinja2  # noqa: F401
     except ImportError as error:
         raise InputError(
-            f"{output}: needs the Python packages bokeh and jinja2; "
-            "pip install 'ringwear-par[pages]'"
+            f"{output}: needs the Python package jinja2; pip install 'ringwear-par[pages]'"
         ) from error
 
 
@@ -138,34 +135,12 @@ def html_text(page: Page) -> str:
     import jinja2
     from markupsafe import Markup, escape
 
-    from ringwear_par.pictures import bokeh
-
     parts = files("ringwear_par.reports") / "page"
-
-    def part(name: str) -> str:
-        return (parts / name).read_text(encoding="utf-8")
-
     surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     surroundings.tests["numeric"] = lambda cell: _NUMERIC.fullmatch(str(cell)) is not None
     surroundings.filters["unbroken"] = lambda cell: Markup(
         _EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(cell)))
     )
-    # bokeh reads a model before what refers to it
-    surroundings.policies["json.dumps_kwargs"] = {"sort_keys": False}
-    values: dict[str, Any] = {
-        "page": page,
-        "version": __version__,
-        "style": Markup(part("page.css")),
-        "script": Markup(part("page.js")),
-        "bokeh": Markup(bokeh.script()) if page.charts else "",
-        "drawings": {chart.name: _drawing(chart) for chart in page.charts},
-    }
-    return surroundings.from_string(part("page.html")).render(values)
-
-
-def _drawing(chart: Chart) -> dict[str, Any]:
-    """Return the figure that the page's script embeds, and the frames of its slider."""
-    from ringwear_par.pictures import bokeh
-
-    figure = bokeh.chart(chart.name, chart.panel, chart.height)
-    return {"item": bokeh.embedded(figure), "frames": bokeh.rounded(chart.frames)}
+    template = surroundings.from_string((parts / "page.html").read_text("utf-8"))
+    style = Markup((parts / "page.css").read_text("utf-8"))
+    return template.render(page=page, version=__version__, style=style)

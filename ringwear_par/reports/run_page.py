@@ -2,26 +2,29 @@
 
 import io
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
+from ringwear_par.cases.case import CHANGED
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import warning_lines
+from ringwear_par.errors import InputError, warning_lines
 from ringwear_par.pictures import run_panels
 from ringwear_par.pictures.figures import plot
+from ringwear_par.pictures.panel import Panel
+from ringwear_par.pictures.rig import rig_svg
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports import blocks as page
-from ringwear_par.reports.case_words import case_words
-from ringwear_par.results.key_numbers import KeyNumber, check_numbers, key_numbers, time_words
+from ringwear_par.results.key_numbers import KeyNumber, check_numbers, key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.summary import checks, early_end, warnings_of
 
-#: most times on a slider
-_SLIDER = 120
 #: most rows of a table that is not folded
 _SHORT = 21
+#: range of a history over its largest value below which a chart of it would be a level line
+_LEVEL = 5e-3
 
 
 def run_page(result: Result) -> page.Page:
@@ -31,35 +34,52 @@ def run_page(result: Result) -> page.Page:
     ------
     InputError : the result was stored without its last state.
     """
-    numbers, (rig, case) = key_numbers(result), case_words(result)
+    numbers = key_numbers(result)
     doubts = warning_lines(map(with_signs, warnings_of(result)))
     wrong, errors = checks(result)
     passed = page.checks_tile(len(doubts), with_signs("; ".join([*wrong, errors])), len(wrong))
-    blocks: list[page.Block] = [page.Tiles([*answers(numbers), passed]), *rig]
+    blocks: list[page.Block] = [page.Tiles([*answers(numbers), passed]), *_rig(result)]
     if early := early_end(result):
         blocks.append(page.Lines([f"Ended {early}."]))
     if doubts:
         blocks.append(page.Lines(doubts, warning=True))
     header = ("quantity", "value", "unit")
     blocks.append(page.Table("Key numbers, at the end", header, key_rows(numbers)))
-    sections = [page.Section("Summary", blocks)]
-    drawn = profiles(result)
-    absence = "No profiles are stored at several times (output.fields, output.profiles)."
-    sections.append(
-        page.Section(
-            "Worn profiles and pressure", [page.Lines([absence]) if drawn is None else drawn]
-        )
-    )
-    sections.append(page.Section("Histories", [histories(result)]))
-    sections += _stresses(result)
-    sections.append(page.Section("The case", case))
-    sections.append(page.Section("Balances", [_errors(result)]))
-    sections.append(_reproduced(result))
+    case = [page.Source("Case file, as run", result.case)]
+    case += [page.Source(f"Law of {body}, a file of the user's", source)
+             for body, source in result.user_laws.items()]  # fmt: skip
     return page.Page(
         "Wear history of a test",
         str(result.attributes.get("title") or "Run without a title"),
-        sections,
+        [
+            page.Section("Summary", blocks),
+            page.Section("Worn profiles and pressure", [_profiles(result)]),
+            page.Section("Histories", _histories(result)),
+            *_stresses(result),
+            page.Section("The case", case),
+            page.Section("Balances", [_errors(result)]),
+            _reproduced(result),
+        ],
     )
+
+
+def _rig(result: Result) -> list[page.Block]:
+    """Return the drawing of the rig, none where the stored text does not say the whole case.
+
+    Laws are described as in the result: those in files of their own are not run.
+    """
+    if result.case.startswith(CHANGED):
+        return [page.Lines(["The stored text is not the whole case; the rig is not drawn."])]
+    try:
+        keys = read_keys(result.case, result.name)
+        bare = {key: value for key, value in keys.items() if not key.startswith("wear.")}
+        case = make_case(bare, result.name)
+    except InputError:  # of a version that had other keys
+        return []
+    lower, upper = (str(result.attributes.get(f"law_{body}") or "") for body in BODIES)
+    alt = "Section of the rig through its axis: bodies, load, rotation, contact"
+    drawing = rig_svg(case, (lower, upper))
+    return [page.Pictures([page.Picture("The rig", drawing, page.SVG, alt)])]
 
 
 def answers(numbers: Iterable[KeyNumber]) -> list[page.Tile]:
@@ -82,36 +102,41 @@ def answers(numbers: Iterable[KeyNumber]) -> list[page.Tile]:
     return tiles
 
 
-def histories(result: Result) -> page.Charts:
-    """Return the charts of the quantities over time that the result holds."""
-    return page.Charts([
-        page.Chart(name, panel, f"Line chart: {panel.title} over {panel.x.label}")
-        for name, panel in run_panels.histories(result).items()
+def _profiles(result: Result) -> page.Block:
+    """Return the charts of worn faces and pressure at five instants, as far as they are stored."""
+    panels = []
+    if run_panels.worn_bodies(result):
+        panels.append(run_panels.worn_faces(result))
+    if run_panels.at_all_states(result, "pressure"):
+        panels.append(run_panels.pressure(result))
+    if not panels:
+        absence = "No profiles are stored at several times (output.fields, output.profiles)."
+        return page.Lines([absence])
+    return page.Pictures([
+        page.chart(panel, f"Line chart: {panel.y.label} over the radius at several times", 4.0)
+        for panel in panels
     ])  # fmt: skip
 
 
-def profiles(result: Result) -> page.Charts | None:
-    """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
-    panels = {
-        f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.worn_depth(result, body))
-        for body in run_panels.worn_bodies(result)
-    }
-    if run_panels.at_all_states(result, "pressure"):
-        panels["pressure"] = run_panels.pressure(result), result.profiles["pressure"]
-    if not panels:
-        return None
-    time = result.histories["time"]
-    rows = np.unique(np.linspace(0, len(time) - 1, _SLIDER).round().astype(int)).tolist()
-    charts = []
-    for name, (panel, values) in panels.items():
-        times = ", ".join(curve.name for curve in panel.curves)
-        label = f"Line chart: {panel.y.label} over the {run_panels.RADIUS} at {times}"
-        frames = [values[row].tolist() for row in rows]
-        chosen = run_panels.at_instant(result, values[rows[-1]])
-        panel = replace(panel, curves=[*panel.curves, chosen])
-        charts.append(page.Chart(name, panel, label, 400, frames))
-    instants = [time_words(t, float(time[-1])) for t in time[rows].tolist()]
-    return page.Charts(charts, instants, len(rows) - 1)
+def _histories(result: Result) -> list[page.Block]:
+    """Return the charts of the quantities over time, and which of them are constant."""
+    panels = run_panels.histories(result).values()
+    constant = [panel.title for panel in panels if _is_level(panel)]
+    charts = [
+        page.chart(panel, f"Line chart: {panel.title} over {panel.x.label}")
+        for panel in panels
+        if not _is_level(panel)
+    ]
+    lines = [page.Lines([f"Constant, see the key numbers: {', '.join(constant)}."])]
+    return [page.Pictures(charts), *(lines if constant else [])]
+
+
+def _is_level(panel: Panel) -> bool:
+    """Tell whether all curves of a panel are level lines."""
+    return all(
+        curve.y.size == 0 or float(np.ptp(curve.y)) <= _LEVEL * float(np.abs(curve.y).max())
+        for curve in panel.curves
+    )
 
 
 def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:
@@ -134,30 +159,20 @@ def _stresses(result: Result) -> list[page.Section]:
     if not (stress := result.stress):
         return []
     times, last = stress["stress_time"].tolist(), [-1]
-    label = "Line chart: von Mises stress"
-    blocks: list[page.Block] = []
     charts = []
     if "stress_grid" in stress:
         content = io.BytesIO()
         plot(result, "stress").savefig(content, format="png", dpi=150)
         alt = "Map of von Mises stress in the section"
-        blocks.append(page.Picture("Stress inside", content.getvalue(), "image/png", alt))
-        along = along_height(result, "", last)
-        charts.append(page.Chart("depth", along, f"{label} along the height at {along.legend}"))
+        charts.append(page.Picture("Stress inside", content.getvalue(), "image/png", alt))
+        charts.append(page.chart(along_height(result, "", last), "von Mises stress along z"))
     if any(f"interface_z_{body}" in stress for body in BODIES):
-        blocks.append(
-            page.Lines(["Beside von Mises stress: tractions along interfaces of layers."])
-        )
         charts += [
-            page.Chart(f"interface-{number}", panel, f"Line chart: {panel.y.label}, {panel.title}")
-            for number, panel in enumerate(along_interfaces(result, "", last), start=1)
+            page.chart(panel, f"Line chart: {panel.y.label}, {panel.title}")
+            for panel in along_interfaces(result, "", last)
         ]
     if len(times) > 1:  # one is no history
-        charts.append(
-            page.Chart("mises", largest([result], [""]), f"{label}, the largest over time")
-        )
-    if charts:
-        blocks.append(page.Charts(charts))
+        charts.append(page.chart(largest([result], [""]), "Largest von Mises stress over time"))
     rows = [
         (f"{time:.6g}", body, f"{top[t]:.5g}", f"{r[t]:.6g}", f"{z[t]:.6g}")
         for t, time in enumerate(times)
@@ -166,8 +181,9 @@ def _stresses(result: Result) -> list[page.Section]:
     ]
     header = ("time (s)", "ring", "von Mises (MPa)", "at r (mm)", "z (mm)")
     caption = f"Largest von Mises stress, {stress['stress_exclude']:g} mm and more from edges"
-    blocks.append(page.Table(caption, header, rows, folded=len(rows) > _SHORT))
-    return [page.Section("Stress inside", blocks)]
+    table = page.Table(caption, header, rows, folded=len(rows) > _SHORT)
+    blocks: list[page.Block] = [page.Pictures(charts)] if charts else []
+    return [page.Section("Stress inside", [*blocks, table])]
 
 
 def _reproduced(result: Result) -> page.Section:

@@ -1,7 +1,6 @@
 """The page of a sweep."""
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +27,7 @@ from ringwear_par.studies.pictures import (
 from ringwear_par.studies.variations import own_key
 
 #: most cases of the table
-_MOST = 1000
-#: most cases of the table of the worst
-_WORST = 10
+_MOST = 30
 #: digits of a number in a table
 _DIGITS = 4
 
@@ -53,7 +50,7 @@ def sweep_page(folder: Path) -> page.Page:
         if choice.indices:
             blocks = [_index_charts(choice), *_index_tables(choice)]
         sections.append(page.Section("Sensitivity", blocks))
-    sections.append(page.Section("Cases", _cases(ensemble)))
+    sections.append(page.Section("Cases", [_cases(ensemble)]))
     sections.append(_reproduced(ensemble))
     return page.Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
 
@@ -137,35 +134,30 @@ def _number(value: float) -> str:
     return f"{value:.{_DIGITS}g}" if np.isfinite(value) else ""
 
 
-def _histories(ensemble: Ensemble, choice: Choice) -> page.Charts:
+def _histories(ensemble: Ensemble, choice: Choice) -> page.Pictures:
     panel = histories(ensemble, choice)
     label = f"Line chart: {panel.y.label} over {panel.x.label}"
-    return page.Charts([page.Chart("histories", panel, label, 440, wide=True)])
+    return page.Pictures([page.chart(panel, label, 4.4, wide=True)])
 
 
-def _index_charts(choice: Choice) -> page.Charts:
-    charts = []
-    for output, panel in index_panels(choice).items():
-        label = f"Bar chart: {panel.title}; the table has the numbers"
-        height = 160 + 55 * len(panel.y.categories)
-        charts.append(page.Chart(_name("indices", output), panel, label, height))
-    return page.Charts(charts)
-
-
-def _name(*words: str) -> str:
-    """Return the name of an element."""
-    return "-".join(words).replace("_", "-").replace(".", "-")
+def _index_charts(choice: Choice) -> page.Pictures:
+    return page.Pictures([
+        page.chart(
+            panel, f"Bar chart: {panel.title}; the table has the numbers",
+            1.4 + 0.45 * len(panel.y.categories),
+        )
+        for panel in index_panels(choice).values()
+    ])  # fmt: skip
 
 
 def _effects(ensemble: Ensemble, choice: Choice) -> list[page.Block]:
     charts = [
-        page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}")
-        for names, panel in effects(ensemble, choice).items()
+        page.chart(panel, f"Chart: {panel.title}") for panel in effects(ensemble, choice).values()
     ]
     lines = [choice.counts, *[choice.remark] * bool(choice.remark)]
     if choice.absence:
         lines.append(f"No surrogate: {choice.absence}")
-    return [page.Lines(lines), page.Charts(charts)]
+    return [page.Lines(lines), page.Pictures(charts)]
 
 
 def _index_tables(choice: Choice) -> list[page.Table]:
@@ -182,22 +174,13 @@ def _index_tables(choice: Choice) -> list[page.Table]:
     return tables
 
 
-def _cases(ensemble: Ensemble) -> list[page.Block]:
-    """Return the worst cases of the study and the first ones, failed ones with why."""
-    cases = np.arange(len(ensemble.ids))
-    first = cases[:_MOST]
-    caption = f"{len(cases)} cases"
-    if len(first) < len(cases):
-        caption = f"The first {len(first)} of {len(cases)} cases; cases.csv has all"
-    every = _case_table(ensemble, first, f"{caption}; headers sort")
-    if len(cases) <= _WORST:
-        return [every]
-    caption = (
-        f"The {_WORST} worst of {len(cases)} cases: those that failed, then those "
-        "with most warnings, then those that penetrate most"
-    )
-    worst = _case_table(ensemble, worst_cases(ensemble, cases)[:_WORST], caption)
-    return [replace(worst, sortable=False), every]
+def _cases(ensemble: Ensemble) -> page.Table:
+    """Return the table of all cases, or of the worst of many, failed ones with why."""
+    total = len(ensemble.ids)
+    worst = worst_cases(ensemble, np.arange(total))[:_MOST]
+    caption = f"{total} cases" if total <= _MOST else f"The {_MOST} worst of {total} cases"
+    caption += ": those that failed, then those with most warnings, then by penetration"
+    return _case_table(ensemble, worst, f"{caption}; cases.csv has all")
 
 
 def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
@@ -231,7 +214,7 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.T
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
         words = [texts[i] for texts in remarks.values()]
         rows.append((ensemble.ids[i], ensemble.status[i], *values, *ends, *words))
-    return page.Table(caption, header, rows, sortable=True)
+    return page.Table(caption, header, rows)
 
 
 def _reproduced(ensemble: Ensemble) -> page.Section:

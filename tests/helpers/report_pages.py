@@ -1,55 +1,18 @@
-"""Pages of reports as a browser reads them: elements, texts, tables, and charts of Bokeh."""
+"""Pages of reports as a browser reads them: elements, texts, tables, drawings."""
 
+import base64
 import html.parser
-import json
+import xml.etree.ElementTree as ElementTree
 
-import numpy as np
-
-
-def models(value):
-    """Yield all models of a document of bokeh."""
-    if isinstance(value, dict) and value.get("type") == "object":
-        yield value
-    if isinstance(value, dict | list):
-        for entry in value.values() if isinstance(value, dict) else value:
-            yield from models(entry)
-
-
-def numbers(value):
-    """Return a column of a document, its numbers that are none as such."""
-    if isinstance(value, dict):
-        return float(value["value"])
-    return [numbers(entry) for entry in value] if isinstance(value, list) else value
-
-
-class Drawn:
-    """A chart of a page: its columns by kinds of marks, its curves by name, its slider's frames."""
-
-    def __init__(self, name, text):
-        self.frames, self.columns = text["frames"], {}
-        for model in models(text["item"]["doc"]):
-            if model["name"] == "ColumnDataSource":
-                kind = model["attributes"]["name"].removeprefix(f"{name}-")
-                entries = model["attributes"]["data"]["entries"]
-                self.columns[kind] = {column: numbers(values) for column, values in entries}
-
-    def curves(self, *kinds):
-        """Abscissae and ordinates of curves, by name."""
-        return {
-            label: (np.array(x), np.array(y))
-            for kind in kinds or ("ends", "lines", "asides")
-            for label, x, y in zip(
-                *(self.columns[kind][c] for c in ("name", "x", "y")), strict=True
-            )
-        }
+_SVG = "data:image/svg+xml;base64,"
 
 
 class Read(html.parser.HTMLParser):
-    """A page as a browser reads it: elements, texts of tables and of scripts."""
+    """A page as a browser reads it: elements, and texts of tables."""
 
     def __init__(self, text):
         super().__init__()
-        self.elements, self.tables, self.scripts, self.words, self._inside = [], [], [], [], []
+        self.elements, self.tables, self.words, self._inside = [], [], [], []
         self.feed(text)
         self.close()
 
@@ -70,9 +33,7 @@ class Read(html.parser.HTMLParser):
 
     def handle_data(self, data):  # noqa: D102
         inside = self._inside[-1] if self._inside else ""
-        if inside == "script":
-            self.scripts.append(data)
-        elif inside in ("th", "td"):
+        if inside in ("th", "td"):
             self.tables[-1][-1][-1] += data
         if inside not in ("script", "style"):
             self.words.append(data)
@@ -82,11 +43,16 @@ class Read(html.parser.HTMLParser):
         return " ".join("".join(self.words).split())
 
     @property
-    def charts(self):
-        """Charts by the names of their elements."""
-        names = [a["id"] for _, a in self.elements if a.get("class") == "plot"]
-        texts = [json.loads(text) for text in self.scripts if text.startswith('{"item"')]
-        return {name: Drawn(name, text) for name, text in zip(names, texts, strict=True)}
+    def drawings(self):
+        """The texts of each drawing, by what it shows."""
+        pictures = [attributes for tag, attributes in self.elements if tag == "img"]
+        return {
+            picture["alt"]: " ".join(
+                ElementTree.fromstring(base64.b64decode(picture["src"][len(_SVG) :])).itertext()
+            )
+            for picture in pictures
+            if picture["src"].startswith(_SVG)
+        }
 
     def rows(self, caption_of):
         """Rows of the table whose header has a word, by their first cells."""
