@@ -45,14 +45,15 @@ class Chart:
         )  # fmt: skip
         legend = self.figure.legend[0]
         legend.update(
-            orientation="horizontal", ncols=3, border_line_color=None, padding=2, spacing=4,
-            label_text_font_size="12px",
+            orientation="horizontal", ncols=4, border_line_color=None, padding=2, spacing=4,
+            label_text_font_size="12px", location="left",
         )  # fmt: skip
         self.figure.add_layout(legend, "above")
+        self.figure.axis.axis_label_text_font_style = "normal"
 
     def show(self, panel: Panel) -> None:
         """Draw a panel in the place of the one before."""
-        lines = [_line(curve) for curve in panel.curves if curve.legend or curve.name]
+        lines = [_line(curve) for curve in panel.curves if curve.name]
         points = [
             (x, y, points.name, points.colour)
             for points in panel.points
@@ -81,7 +82,7 @@ def _line(curve: Curve) -> tuple[Any, ...]:
     if len(y) < len(x):  # means of the time between two states
         x, y = np.repeat(x, 2)[1:-1], np.repeat(y, 2)
     dash = _DASHES[curve.dash % len(_DASHES)]
-    return x, y, curve.legend or curve.name, curve.colour, dash, curve.width
+    return x, y, curve.name, curve.colour, dash, curve.width
 
 
 def _ends(axis: Axis, values: FloatArray) -> tuple[float, float]:

@@ -197,6 +197,7 @@ class Explorer:
                 row(*figures[:2], sizing_mode="stretch_width"),
                 row(*figures[2:], sizing_mode="stretch_width"),
                 hint, table, self._about_readings, self.text, sizing_mode="stretch_width",
+                margin=(0, 30, 0, 10),
             ),
             sizing_mode="stretch_width",
         )  # fmt: skip

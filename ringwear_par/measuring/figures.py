@@ -87,7 +87,7 @@ def _panel(
     limits = np.full(2, low), np.full(2, high)
     return Panel(
         Axis(f"time ({unit})", ends=(0.0, end / seconds)), Axis(label, ends=(low, high)), title,
-        bands=[Band(ends / seconds, *limits, name, ("", ""), COLOURS[2 if steady else 1], 0.15)],
+        bands=[Band(ends / seconds, *limits, name, COLOURS[2 if steady else 1], 0.15)],
         points=[
             Points(np.array(channel["time"]) / seconds, readings, "readings", GREY, 2.0)
         ],

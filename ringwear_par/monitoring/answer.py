@@ -203,7 +203,7 @@ class Monitor:
             Axis(f"time ({unit})"), Axis(f"{key} ({in_signs(unit_of_key or '1')})"),
             "by the readings until then",
             curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
-            bands=[Band(time, low, high, level, ("low", "high"))],
+            bands=[Band(time, low, high, level)],
         )  # fmt: skip
         charts = [blocks.chart(of_key, f"{key} and its interval over the time of the test")]
         known = [one for one in records(self._last.test.series) if one[0].quantity in _DRAWN][:1]
@@ -233,7 +233,7 @@ class Monitor:
             Axis(f"time ({unit})"), Axis(f"{series.quantity} ({symbol})", zero=True),
             "readings, and histories of this specimen",
             curves=[Curve(time, ends[1], "median", COLOURS[1])],
-            bands=[Band(time, ends[0], ends[2], level, ("low", "high"))],
+            bands=[Band(time, ends[0], ends[2], level)],
             points=[Points(series.x / seconds, factor * (series.value - added),
                            "readings, less offset and drift")],
         )  # fmt: skip

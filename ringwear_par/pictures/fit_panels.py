@@ -122,8 +122,8 @@ def _data(
             words = f"{count} limit{'s' * (count > 1)}, {name}" if side else name
             bars = None if side or errors is None else errors[rows]
             points.append(
-                Points(x[rows], y[rows], words, GREY, size + 2.0 * abs(side), marker=marker,
-                       errors=bars, probability=f"{100 * series.level:g} %")
+                Points(x[rows], y[rows], words, GREY, size + 2.0 * abs(side), 1.0, marker,
+                       errors=bars)
             )  # fmt: skip
     return points
 
@@ -144,8 +144,7 @@ def readings(series: Series) -> Panel:
     ):
         low, high = (broken(series.model + sign * series.quantile * reach) for sign in (-1.0, 1.0))
         name = f"{percent} of {name}"
-        ends = f"{name}, from", f"{name}, to"
-        bands.append(Band(broken(x), low, high, name, ends, colour, opacity, edge))
+        bands.append(Band(broken(x), low, high, name, colour, opacity, edge))
     noise = series.quantile * series.sd if len(x) <= _FEW else None
     return Panel(
         below, Axis(series.label, reversed=series.profile), series.title,

@@ -95,7 +95,7 @@ def _density(key: FittedKey, level: float) -> Panel:
     heights, borders = np.histogram(key.draws, bins=_BINS, range=(low, high))
     heights = np.repeat(heights / heights.max(initial=1), 2)
     x, upright = key.scaled(np.repeat(borders, 2)[1:-1]), np.array([0.0, 1.05])
-    band = Band(x, 0.0 * heights, heights, "draws", ("draws, from", "draws, to"), _LINE, 0.35)
+    band = Band(x, 0.0 * heights, heights, "draws", _LINE, 0.35)
     curves = [
         Curve(key.scaled([end, end]), upright, f"{100 * level:g} % interval", _LINE, 1, 1.2)
         for end in key.entry["interval"] if end is not None
@@ -142,14 +142,12 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
         if low is not None and high is not None:
             name = f"{100 * level:g} % of {name}"
             low, high = np.full(2, low / scale), np.full(2, high / scale)
-            bands.append(
-                Band(ends, low, high, name, (f"{name}, from", f"{name}, to"), opacity=opacity)
-            )
+            bands.append(Band(ends, low, high, name, opacity=opacity))
     rows = [(entry["estimate"], *entry["interval"]) for entry in entries.values()]
     values, low, high = np.array(rows, dtype=float).T / scale
     drawn = [
         Points(places, values, "a specimen", COLOURS[1], 6.0,
-               errors=np.array([values - low, high - values]), probability=f"{100 * level:g} %")
+               errors=np.array([values - low, high - values]))
     ]  # fmt: skip
     names = (
         tuple(entries) if len(entries) <= _NAMED else tuple(map(str, range(1, len(entries) + 1)))

@@ -67,12 +67,12 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
             markeredgewidth=1.0 if points.hollow or points.marker == "level" else 0.0,
             rasterized=len(points.x) > _MANY,
-            zorder=1.5 if points.behind or len(points.x) > _MANY else 2.0,
+            zorder=1.5,  # behind curves, which many of them would hide
         )  # fmt: skip
         if points.errors is not None:
             axes.errorbar(
                 points.x, points.y, points.errors, fmt="none", ecolor=points.colour,
-                elinewidth=0.8,
+                elinewidth=0.8, zorder=1.5,
             )  # fmt: skip
     dotted = {"color": "0.2", "linewidth": 0.8, "linestyle": ":"}
     across, upwards = axes.get_yaxis_transform(), axes.get_xaxis_transform()
@@ -203,7 +203,7 @@ def _draw_curve(axes: Any, curve: Curve) -> None:
     style = {
         "color": curve.colour, "linestyle": DASHES[curve.dash % len(DASHES)],
         "linewidth": _WIDTH * curve.width, "alpha": curve.opacity,
-        "label": plain(curve.legend or curve.name),
+        "label": plain(curve.name),
     }  # fmt: skip
     if len(curve.y) < len(curve.x):
         axes.step(curve.x, np.append(curve.y[:1], curve.y), where="pre", **style)
@@ -264,7 +264,7 @@ def legend_shape(panel: Panel, letters: int) -> tuple[int, int]:
     ----------
     letters : that a line has room for.
     """
-    labels = {curve.legend or curve.name for curve in panel.curves}
+    labels = {curve.name for curve in panel.curves}
     labels |= {mark.name for marks in (panel.bands, panel.points, panel.bars) for mark in marks}
     labels -= {""}
     widest = max(map(len, labels), default=0) + _GLYPH

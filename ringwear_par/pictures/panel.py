@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.style import COLOURS
 
@@ -39,7 +37,7 @@ class Curve:
     #: (n,) float; of means between points of x, y is shorter by one, and the line has steps
     x: FloatArray
     y: FloatArray
-    #: of the legend and of the table of numbers
+    #: of the legend
     name: str = ""
     colour: str = COLOURS[0]
     #: number of its dashes, 0 for none
@@ -48,10 +46,6 @@ class Curve:
     opacity: float = 1.0
     #: whether its points are
     marked: bool = False
-    #: whether a table of the panel's numbers has it
-    tabulated: bool = True
-    #: the name in the legend, if another one
-    legend: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,8 +69,6 @@ class Band:
     high: FloatArray
     #: of the legend
     name: str
-    #: names of the low and the high curve in a table of numbers
-    ends: tuple[str, str]
     colour: str = COLOURS[0]
     opacity: float = 0.3
     #: width of the lines at its ends, which are dotted
@@ -100,17 +92,6 @@ class Points:
     hollow: bool = False
     #: (n,) float, half-lengths of upright bars, or (2, n), their parts below and above points
     errors: FloatArray | None = None
-    #: of the truth within a bar
-    probability: str = "95 %"
-    #: whether files have them behind curves
-    behind: bool = False
-
-    @property
-    def ends(self) -> tuple[FloatArray, FloatArray]:
-        """The lower and upper ends of the bars, (n,) each."""
-        assert self.errors is not None
-        below, above = np.broadcast_to(self.errors, (2, len(self.y)))
-        return self.y - below, self.y + above
 
 
 @dataclass(frozen=True)

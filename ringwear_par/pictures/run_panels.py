@@ -196,14 +196,14 @@ def worn_faces(
         for layer, end in enumerate(result.data.get(f"layer_end_{body}", ())):
             if end.min() > _FAR * deepest:
                 continue
-            name, depth = f"end of layer {layer}", 1e3 * end
-            curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
+            depth = 1e3 * end
+            curves.append(Curve(r, depth, "end of layer", "#666666", 3, 1.0))
             place = float(result.line.edges[-1]), float(depth[-1])
             labels.append(Label(*place, f"layer {layer}", below=body == "lower"))
     beside = _BESIDE * (outer - inner)
     low, high = max(inner - beside, 0.0), outer + beside
     for ends in ([low, inner], [outer, high]):
-        unworn = Curve(np.array(ends), np.zeros(2), "", "#666666", 0, 1.0, tabulated=False)
+        unworn = Curve(np.array(ends), np.zeros(2), "", "#666666", 0, 1.0)
         curves.append(unworn)
     return Panel(
         Axis(RADIUS, ends=(low, high)), Axis(label, reversed=True), label,

@@ -286,14 +286,13 @@ def _along(
     bottom, top = float(extent.min()) - room, float(extent.max()) + room
     upright = np.array([bottom, top, np.nan])
     edges = Curve(
-        np.repeat(contact, 3), np.tile(upright, 2), "edges of contact", _PALE, 3, 1.2,
-        tabulated=False,
+        np.repeat(contact, 3), np.tile(upright, 2), "edges of contact", _PALE, 3, 1.2
     )  # fmt: skip
-    zero = Curve(np.array([low, high]), np.zeros(2), "", _DARK, 0, 1.0, tabulated=False)
+    zero = Curve(np.array([low, high]), np.zeros(2), "", _DARK, 0, 1.0)
     shades = [
         Band(
             end + exclude * np.array([-1.0, 1.0]), np.full(2, bottom), np.full(2, top), "",
-            ("", ""), "#000000", 0.1,
+            "#000000", 0.1,
         )
         for end in free
     ]  # fmt: skip

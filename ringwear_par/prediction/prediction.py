@@ -267,7 +267,7 @@ def band_panel(content: Mapping[str, Any]) -> Panel:
         content.get("whose", content["of"]),
         curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
         bands=[
-            Band(time, low, high, "95 %", ("2.5 %", "97.5 %"), COLOURS[0], 0.18),
-            Band(time, lower, upper, "50 %", ("25 %", "75 %"), COLOURS[0], 0.35),
+            Band(time, low, high, "95 %", COLOURS[0], 0.18),
+            Band(time, lower, upper, "50 %", COLOURS[0], 0.35),
         ],
     )  # fmt: skip

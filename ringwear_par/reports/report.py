@@ -25,7 +25,7 @@ _PAGES = {
 #: where a browser would begin a line within a number
 _EXPONENT = re.compile(r"\d[\d.]*e-\d+")
 #: cells of tables that stand right
-_NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
+_NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?: %)?")
 
 
 def report(source: Outcome | str | Path, output: str | Path) -> str:

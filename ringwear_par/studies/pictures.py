@@ -151,8 +151,7 @@ def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Pan
             points.append(level)
         else:
             interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
-            names = f"{interval}, from", f"{interval}, to"
-            bands = [Band(along, low, high, interval, names, COLOURS[1], 0.5)]
+            bands = [Band(along, low, high, interval, COLOURS[1], 0.5)]
             curves = [Curve(along, mean, name, COLOURS[0])]
     return Panel(*axes, curves=curves, bands=bands, points=points)
 
@@ -178,7 +177,7 @@ def _points(key: Factor, values: FloatArray) -> Points:
     if key.texts:
         x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
     name = f"{len(rows)} of {len(values)} cases" if len(rows) < len(values) else "cases"
-    return Points(x, values[rows], name, GREY, size, behind=True)
+    return Points(x, values[rows], name, GREY, size)
 
 
 def value_axis(label: str, values: FloatArray) -> Axis:
@@ -248,13 +247,13 @@ def _fan(lines: list[tuple[FloatArray, FloatArray]], x: Axis, label: str, count:
     ends = np.array([line[-1] for _, line in lines])
     rows = np.argsort(ends)[np.unique(np.linspace(0, len(ends) - 1, _LINES).astype(int))]
     singles = f"{len(rows)} of the cases"
-    curves = [Curve(time, depth[row], singles, GREY, 0, 0.8, tabulated=False) for row in rows]
+    curves = [Curve(time, depth[row], singles, GREY, 0, 0.8) for row in rows]
     known = np.isfinite(depth).sum(axis=0) >= 0.5 * len(depth)
     low, lower, median, upper, high = np.nanquantile(depth[:, known], _QUANTILES, axis=0)
     time = time[known]
     bands = [
-        Band(time, low, high, "5\N{EN DASH}95 %", ("5 %", "95 %"), COLOURS[0], 0.16),
-        Band(time, lower, upper, "25\N{EN DASH}75 %", ("25 %", "75 %"), COLOURS[0], 0.3),
+        Band(time, low, high, "5\N{EN DASH}95 %", COLOURS[0], 0.16),
+        Band(time, lower, upper, "25\N{EN DASH}75 %", COLOURS[0], 0.3),
     ]
     curves.append(Curve(time, median, "median", COLOURS[0], 0, 2.5))
     chosen = f"{len(ends)} of {count} cases, chosen at random" if len(ends) < count else ""
