@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,23 +71,19 @@ STORED = {
 }  # fmt: skip
 #: about each case
 OF_CASES = {
-    variable.name: variable
-    for variable in (
-        Variable("case", ("case",), "1", "case, by its content"),
-        Variable("number", ("case",), "1", "number of the case in the design", integer=True),
-        Variable("status", ("case",), "1", "done, failed or incomplete"),
-        Variable("error", ("case",), "1", "why the case failed"),
-        Variable(
-            "flags", ("case",), "1",
-            "what makes the answer doubtful or ended the case early, separated by commas",
-        ),
-        Variable("seconds", ("case",), "s", "wall time of the case"),
-        Variable(
-            "imbalance", ("case",), "1",
-            "worst error of the balances of force, energy and contact of its steps",
-        ),
-        Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
-        Variable("elements", ("case",), "1", "number of contact elements", integer=True),
+    name: Variable(name, ("case",), unit, meaning)
+    for name, unit, meaning in (
+        ("case", "1", "case, by its content"),
+        ("number", "1", "number of the case in the design"),
+        ("status", "1", "done, failed or incomplete"),
+        ("error", "1", "why the case failed"),
+        ("flags", "1",
+         "what makes the answer doubtful or ended the case early, separated by commas"),
+        ("seconds", "s", "wall time of the case"),
+        ("imbalance", "1",
+         "worst error of the balances of force, energy and contact of its steps"),
+        ("steps_stored", "1", "number of stored steps"),
+        ("elements", "1", "number of contact elements"),
     )
 }  # fmt: skip
 
@@ -96,14 +93,9 @@ AXES = {axis.name: axis for axis in (LAYER, UPPER_LAYER, POINT)}
 BODY = "body"
 
 
-def axis_of(variable: Variable) -> str:
-    """Return the axis of a variable other than steps and elements, "" where it has none."""
-    return next((name for name in variable.dimensions if name in AXES), "")
-
-
 def has_layers(variable: Variable) -> bool:
     """Tell whether a variable runs over layers; the last number is of the body itself."""
-    return axis_of(variable) in (LAYER.name, UPPER_LAYER.name)
+    return not {LAYER.name, UPPER_LAYER.name}.isdisjoint(variable.dimensions)
 
 
 # -- end values ------------------------------------------------------------------------------------
@@ -114,103 +106,85 @@ MAIN_END_VALUES = ("penetration", "worn_volume_lower", "worn_volume_upper")
 STRESS_STATES = "max_mises"
 
 
-@dataclass(frozen=True)
-class EndValue:
-    """A number of each case, or of each of its layers or points, each a column of ``cases.csv``."""
-
-    #: in the table
-    name: str
-    #: name of the variable that it is taken of
-    source: str
-    #: the variable of the results file
-    stored: Variable
-    #: whether surrogates answer for it: places of the largest stress jump, numbers of laboratories
-    #: follow from others
-    smooth: bool
-
-    def of(self, tables: Mapping[str, Any]) -> FloatArray:
-        """Return the values of cases, (cases,) or (cases, layers or points), NaN without any.
-
-        Of their variables, (cases, ...) by name: the last stored row, of stress the last that has
-        some; of fields the least along the contact line.
-        """
-        there = np.isfinite(tables[STRESS_STATES if self.source in STRESS else "time"])
-        rows = tables[self.source]
-        axes = STORED[self.source].dimensions
-        if "step" in axes and rows.ndim == len({"case", *axes}):
-            last = there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
-            rows = rows[np.arange(len(rows)), last]
-        if self.source in FIELDS:
-            rows = np.fmin.reduce(rows, axis=-1)
-        rows = rows.copy()
-        rows[~there.any(axis=1)] = np.nan
-        return rows
-
-
-def _end_value(source: Variable) -> EndValue:
-    """Return the end value of a variable by what kind it is of."""
-    name, meaning, smooth = source.name, source.meaning, True
-    axes = ("case", axis_of(source)) if axis_of(source) else ("case",)
+def _stored_end_value(source: Variable) -> tuple[str, Variable]:
+    """Return the column of ``cases.csv`` for a variable at the end, and what results store."""
+    name, meaning = source.name, source.meaning
+    axes = ("case", *(axis for axis in source.dimensions if axis in AXES))
     if name in OF_A_CASE:
-        return EndValue(
-            name, name, replace(source, dimensions=axes), name not in LABORATORY_NUMBERS
-        )
-    when = "at the last stored step"
-    stored = f"final_{name}"
-    if name in STRESS:
-        when, smooth = "at the last time that it is stored of", source.unit == "MPa"
-    elif name in FIELDS:
-        name, stored, meaning = f"least_{name}", f"final_least_{name}", f"least {meaning}"
-    variable = Variable(stored, axes, source.unit, f"{meaning}, {when}")
-    return EndValue(name, source.name, variable, smooth)
+        return name, replace(source, dimensions=axes)
+    if name in FIELDS:
+        name, meaning = f"least_{name}", f"least {meaning}"
+    when = "time that it is stored of" if name in STRESS else "stored step"
+    return name, Variable(f"final_{name}", axes, source.unit, f"{meaning}, at the last {when}")
 
 
-_BY_BODY = zip(
-    *(table.values() for table in (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)),
-    strict=True,
+_BY_BODY = (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)
+#: numbers of each case, or of each of its layers or points: columns of ``cases.csv`` in their
+#: order, and the variables of results that have them
+END_VALUES = dict(
+    map(
+        _stored_end_value,
+        (
+            *(HISTORIES[name] for name in MAIN_END_VALUES),
+            *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
+            *chain(*zip(*(table.values() for table in _BY_BODY), strict=True)),
+            *STRESS.values(),
+        ),
+    )
 )
-_SOURCES = (
-    *(HISTORIES[name] for name in MAIN_END_VALUES),
-    *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
-    *(variable for of_a_body in _BY_BODY for variable in of_a_body),
-    *STRESS.values(),
-)
-#: in the order of the table
-END_VALUES = {end_value.name: end_value for end_value in map(_end_value, _SOURCES)}
 #: all variables of results by name, but varied keys
 VARIABLES = {
     **STORED, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **{end_value.stored.name: end_value.stored for end_value in END_VALUES.values()}, **OF_CASES,
+    **{variable.name: variable for variable in END_VALUES.values()}, **OF_CASES,
 }  # fmt: skip
 
 
-def end_value_of(name: str) -> tuple[EndValue, str]:
-    """Return the end value that a column is of, and its entry, "" where it has but one."""
-    source, _, entry = name.partition("[")
-    return END_VALUES[source], entry.removesuffix("]")
+def end_values(tables: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Return the end values, (cases,) or (cases, layers or points), NaN without any.
+
+    Of variables, (cases, ...) by name: the last stored row, of stress the last that has some; of
+    fields the least along the contact line.
+    """
+    ends = {}
+    for name, variable in END_VALUES.items():
+        source = name.removeprefix("least_")
+        if source not in tables or variable.name in tables:
+            continue
+        there = np.isfinite(tables[STRESS_STATES if source in STRESS else "time"])
+        rows, axes = tables[source], STORED[source].dimensions
+        if "step" in axes and rows.ndim == len({"case", *axes}):
+            last = there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
+            rows = rows[np.arange(len(rows)), last]
+        ends[variable.name] = np.fmin.reduce(rows, axis=-1) if source in FIELDS else rows.copy()
+        ends[variable.name][~there.any(axis=1)] = np.nan
+    return ends
 
 
-def entries(end_value: EndValue, values: FloatArray) -> dict[str, FloatArray]:
-    """Return numbers of cases by their names, the last axis of those that have one taken apart."""
-    if not axis_of(end_value.stored):
-        return {end_value.name: values}
-    names = [str(i) for i in range(values.shape[-1])]
-    if has_layers(end_value.stored):
-        names[-1] = BODY
-    return {f"{end_value.name}[{name}]": values[..., i] for i, name in enumerate(names)}
+def end_value_of(name: str) -> tuple[str, Variable, str]:
+    """Return the end value of a column, its variable, and words for the layer or point, or ""."""
+    column, _, entry = name.removesuffix("]").partition("[")
+    variable = END_VALUES[column]
+    if not entry:
+        return column, variable, ""
+    axis = variable.dimensions[-1].removesuffix("_upper")
+    return column, variable, "the body itself" if entry == BODY else f"{axis} {entry}"
 
 
-def entry_words(end_value: EndValue, entry: str) -> str:
-    """Return the words for one of the numbers of an end value with layers or points."""
-    axis = axis_of(end_value.stored).removesuffix("_upper")
-    return "the body itself" if entry == BODY else f"{axis} {entry}"
+def columns_of(name: str, values: FloatArray) -> dict[str, FloatArray]:
+    """Return the columns of an end value: one, or one for each layer or point."""
+    variable = END_VALUES[name]
+    if len(variable.dimensions) < 2:
+        return {name: values}
+    entries: list[Any] = [*range(values.shape[-1])]
+    if has_layers(variable):
+        entries[-1] = BODY
+    return {f"{name}[{entry}]": values[..., i] for i, entry in enumerate(entries)}
 
 
 def meaning_of(name: str) -> str:
     """Return what a column of the table is."""
-    end_value, entry = end_value_of(name)
-    meaning = end_value.stored.meaning
-    return f"{meaning}; {entry_words(end_value, entry)}" if entry else meaning
+    _, variable, entry = end_value_of(name)
+    return f"{variable.meaning}; {entry}" if entry else variable.meaning
 
 
 # -- reading ---------------------------------------------------------------------------------------
@@ -276,9 +250,9 @@ def read_ensemble(folder: Path) -> Ensemble:
             if "spacing" in about:
                 spacings[name] = about["spacing"] == "log", (about["low"], about["high"])
         final: dict[str, FloatArray] = dict.fromkeys(MAIN_END_VALUES, np.full(len(ids), np.nan))
-        for end_value in END_VALUES.values():
-            if end_value.stored.name in file:
-                final |= entries(end_value, file[end_value.stored.name][:])
+        for name, variable in END_VALUES.items():
+            if variable.name in file:
+                final |= columns_of(name, file[variable.name][:])
         return Ensemble(
             path, ids, status, error, file["seconds"][:], file["steps_stored"][:], varied, units,
             final, attributes, spacings, flags,

@@ -20,8 +20,15 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.ensemble import Ensemble, Factor, end_value_of, factors_of, read_ensemble
+from ringwear_par.results.variables import LABORATORY_NUMBERS, LAYER_HISTORIES
+from ringwear_par.studies.ensemble import (
+    STRESS,
+    Ensemble,
+    Factor,
+    end_value_of,
+    factors_of,
+    read_ensemble,
+)
 
 log = logging.getLogger(__name__)
 
@@ -331,7 +338,7 @@ def surrogate(
     final = ensemble.final
     if responses is None:
         finite = (n for n, v in final.items() if np.isfinite(v[cases]).all())
-        responses = [name for name in finite if end_value_of(name)[0].smooth]
+        responses = [name for name in finite if _is_smooth(name)]
     arrays = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
     fitted = {}
     for name, values in arrays.items():
@@ -346,6 +353,12 @@ def surrogate(
     if max(made.relative_error.values(), default=0.0) > GOOD:
         log.warning("more cases would make errors smaller: %r", made)
     return made
+
+
+def _is_smooth(name: str) -> bool:
+    """Tell whether a final value is no place of the largest stress, which jumps, and no rate."""
+    column, variable, _ = end_value_of(name)
+    return column not in LABORATORY_NUMBERS and (column not in STRESS or variable.unit == "MPa")
 
 
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:

@@ -78,7 +78,7 @@ def swept(tmp_path_factory, comm):
 
 @pytest.mark.parametrize(
     ("function", "call", "computed"),
-    [("write_block", 2, 4), ("_compute_block", 1, 6), ("_append", 2, 0), ("merge", 1, 0)],
+    [("write_block", 2, 4), ("_compute_block", 1, 6), ("_columns", 2, 0), ("merge", 1, 0)],
 )
 def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed):
     """What is computed once more is at most the block that was at work."""
