@@ -20,6 +20,7 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError, InputError, reason_of
+from ringwear_par.files.text import toml_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
 from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
@@ -258,7 +259,7 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
             writer.writerows(zip(*columns.values(), strict=True))
             first = some.stop
         file.attrs.update(
-            software=SOFTWARE, study=study.text, case=study.base_text, method=study.method,
+            software=SOFTWARE, study=study.text, case=toml_text(study.base), method=study.method,
             coordinates=" ".join(study.names), status="complete", ranks=ranks,
             blocks=fingerprint(blocks), **versions(),
         )  # fmt: skip

@@ -25,9 +25,9 @@ from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
+from ringwear_par.studies.many import computed
 from ringwear_par.studies.results_file import DamagedError, arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
-from ringwear_par.studies.together import computed
 
 Source = Study | Path | str | Mapping[str, Any]
 
