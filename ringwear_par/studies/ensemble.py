@@ -19,26 +19,9 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_label
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import shortened, toml_value
+from ringwear_par.results import variables
 from ringwear_par.results.hdf5 import reading
-from ringwear_par.results.variables import (
-    EDGE_ELEMENT,
-    HISTORIES,
-    LABORATORY_NUMBERS,
-    LARGEST_STRESS,
-    LAYER,
-    LAYER_HISTORIES,
-    LAYER_PROFILES,
-    LAYER_STRESS,
-    LAYER_VOLUMES,
-    LINE,
-    POINT,
-    POINT_STRESS,
-    POINTS,
-    PROFILES,
-    TIMES_THROUGH,
-    UPPER_LAYER,
-    Variable,
-)
+from ringwear_par.results.variables import HISTORIES, LABORATORY_NUMBERS, Variable
 
 if TYPE_CHECKING:
     import xarray
@@ -52,22 +35,20 @@ _LOG_KEY = 20.0
 # -- variables of cases ----------------------------------------------------------------------------
 
 #: at the stored states that stress is computed for
-STRESS = {**LARGEST_STRESS, **LAYER_STRESS, **POINT_STRESS}
+STRESS = {**variables.LARGEST_STRESS, **variables.LAYER_STRESS, **variables.POINT_STRESS}
 #: along the contact line, at each stored state or at the last one
-FIELDS = {**PROFILES, **LAYER_PROFILES}
+FIELDS = {**variables.PROFILES, **variables.LAYER_PROFILES}
+#: numbers that follow from a history, at its end
+_NUMBERS = {
+    name: replace(number, dimensions=(), meaning=f"{number.meaning}, at the last stored step")
+    for name, number in LABORATORY_NUMBERS.items()
+}
 #: a number of each case, or one a point
-OF_A_CASE = {
-    **TIMES_THROUGH, **POINTS,
-    **{
-        name: replace(
-            number, dimensions=("case",), meaning=f"{number.meaning}, at the last stored step"
-        )
-        for name, number in LABORATORY_NUMBERS.items()
-    },
-}  # fmt: skip
+OF_A_CASE = {**variables.TIMES_THROUGH, **variables.POINTS, **_NUMBERS}
 #: of a case's history; all but ``HISTORIES`` are of some cases only, padded with NaN in the others
 STORED = {
-    **HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS, **LINE, **FIELDS, **OF_A_CASE,
+    **HISTORIES, **variables.LAYER_HISTORIES, **variables.LAYER_VOLUMES, **STRESS,
+    **variables.LINE, **FIELDS, **OF_A_CASE,
 }  # fmt: skip
 #: about each case
 OF_CASES = {
@@ -88,14 +69,14 @@ OF_CASES = {
 }  # fmt: skip
 
 #: axes other than those of steps and elements, and their coordinates
-AXES = {axis.name: axis for axis in (LAYER, UPPER_LAYER, POINT)}
+AXES = {axis.name: axis for axis in (variables.LAYER, variables.UPPER_LAYER, variables.POINT)}
 #: replaces a layer's number, since cases of a sweep may have other numbers of layers
 BODY = "body"
 
 
 def has_layers(variable: Variable) -> bool:
     """Tell whether a variable runs over layers; the last number is of the body itself."""
-    return not {LAYER.name, UPPER_LAYER.name}.isdisjoint(variable.dimensions)
+    return any(axis.startswith("layer") for axis in variable.dimensions)
 
 
 # -- end values ------------------------------------------------------------------------------------
@@ -118,7 +99,10 @@ def _stored_end_value(source: Variable) -> tuple[str, Variable]:
     return name, Variable(f"final_{name}", axes, source.unit, f"{meaning}, at the last {when}")
 
 
-_BY_BODY = (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)
+_BY_BODY = (
+    variables.LAYER_VOLUMES, variables.LAYER_HISTORIES, variables.TIMES_THROUGH,
+    variables.LAYER_PROFILES,
+)  # fmt: skip
 #: numbers of each case, or of each of its layers or points: columns of ``cases.csv`` in their
 #: order, and the variables of results that have them
 END_VALUES = dict(
@@ -134,7 +118,7 @@ END_VALUES = dict(
 )
 #: all variables of results by name, but varied keys
 VARIABLES = {
-    **STORED, EDGE_ELEMENT.name: EDGE_ELEMENT,
+    **STORED, "edge_element": variables.EDGE_ELEMENT,
     **{variable.name: variable for variable in END_VALUES.values()}, **OF_CASES,
 }  # fmt: skip
 
@@ -192,30 +176,29 @@ def meaning_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """A sweep's results without their histories, which ``histories`` reads."""
+    """A sweep's results without their histories, which ``histories`` reads.
+
+    Of each case, (cases,): its id, status, error, flags (reasons to doubt it, separated by commas),
+    wall time (s) and number of stored steps.
+    """
 
     #: of results.h5
     path: Path
-    #: (cases,) str
     ids: tuple[str, ...]
     status: tuple[str, ...]
     error: tuple[str, ...]
-    #: (cases,) float
+    flags: tuple[str, ...]
     seconds: FloatArray
-    #: (cases,) int
     steps_stored: IntArray
-    #: values by varied key, (cases,) float, or str where they are not numbers
+    #: values by varied key, (cases,) float, or str where they are not numbers, and units, or ""
     varied: dict[str, Any]
-    #: their units, "" for none
     units: dict[str, str]
-    #: last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored
+    #: end values by column of ``cases.csv``, (cases,) float; NaN where nothing is stored
     final: dict[str, FloatArray]
     #: of the file: ``method`` of the design, ``study``, its base ``case``, ``status``, versions
     attributes: dict[str, Any]
     #: keys that the design varies by ranges: whether by logarithms, and the ends
     spacings: dict[str, tuple[bool, tuple[float, float]]]
-    #: reasons to doubt the answer of a case, separated by commas, (cases,)
-    flags: tuple[str, ...]
 
     @cached_property
     def done(self) -> BoolArray:
@@ -238,24 +221,23 @@ def read_ensemble(folder: Path) -> Ensemble:
             "was interrupted"
         )
     with reading(path, SOFTWARE, FILE_KIND) as file:
-        attributes = dict(file.attrs)
-        ids, status, error, flags = (
-            tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")
-        )
+        texts = [tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")]
         varied, units, spacings = {}, {}, {}
-        for name in attributes["coordinates"].split():
+        for name in file.attrs["coordinates"].split():
             key, about = file[name], file[name].attrs
             varied[name] = key[:] if key.dtype.kind == "f" else key.asstr()[:]
             units[name] = "" if about["units"] == "1" else about["units"]
             if "spacing" in about:
                 spacings[name] = about["spacing"] == "log", (about["low"], about["high"])
-        final: dict[str, FloatArray] = dict.fromkeys(MAIN_END_VALUES, np.full(len(ids), np.nan))
+        final: dict[str, FloatArray] = {}
         for name, variable in END_VALUES.items():
             if variable.name in file:
                 final |= columns_of(name, file[variable.name][:])
+            elif name in MAIN_END_VALUES:  # no case has an end
+                final[name] = np.full(len(texts[0]), np.nan)
         return Ensemble(
-            path, ids, status, error, file["seconds"][:], file["steps_stored"][:], varied, units,
-            final, attributes, spacings, flags,
+            path, *texts, file["seconds"][:], file["steps_stored"][:], varied, units, final,
+            dict(file.attrs), spacings,
         )  # fmt: skip
 
 

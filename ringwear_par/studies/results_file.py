@@ -11,6 +11,7 @@ import logging
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,27 +26,10 @@ from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
 from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
 from ringwear_par.results.result import HistoryColumns
-from ringwear_par.results.variables import (
-    EDGE_ELEMENT,
-    ELEMENT,
-    LINE,
-    POINT_SIDE,
-    Variable,
-    edge_elements,
-)
+from ringwear_par.results.variables import ELEMENT, LINE, Variable, edge_elements
+from ringwear_par.studies import ensemble
 from ringwear_par.studies.blocks import Block
-from ringwear_par.studies.ensemble import (
-    AXES,
-    END_VALUES,
-    FILE_KIND,
-    RESULTS,
-    SOFTWARE,
-    TABLE,
-    VARIABLES,
-    columns_of,
-    end_values,
-    has_layers,
-)
+from ringwear_par.studies.ensemble import END_VALUES, FILE_KIND, RESULTS, SOFTWARE, TABLE, VARIABLES
 from ringwear_par.studies.study import Study
 from ringwear_par.studies.variations import cell, own_key
 from ringwear_par.version import __version__, versions
@@ -118,12 +102,11 @@ def _stored(case: Any, columns: HistoryColumns) -> dict[str, Any]:
 def derived(arrays: dict[str, Any]) -> dict[str, Any]:
     """Return the arrays of cases with what follows from them: end values, edges, words."""
     if "pressure" in arrays:
-        pressure = arrays["pressure"]
-        edges = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
-        arrays[EDGE_ELEMENT.name] = edges
-    arrays |= end_values(arrays)
-    if POINT_SIDE.name in arrays:
-        arrays[POINT_SIDE.name] = side_words(arrays[POINT_SIDE.name])
+        edges = edge_elements(pressure := arrays["pressure"])
+        arrays["edge_element"] = np.where(np.isnan(pressure), np.nan, edges)
+    arrays |= ensemble.end_values(arrays)
+    if "point_side" in arrays:
+        arrays["point_side"] = side_words(arrays["point_side"])
     return arrays
 
 
@@ -145,7 +128,7 @@ def _layout(tables: Iterable[Mapping[str, Any]]) -> Layout:
 def _put(whole: Any, at: Any, values: Any, name: str) -> None:
     """Write the values of some cases into an array with space for more states or elements."""
     cells = tuple(map(slice, values.shape[1:]))
-    if has_layers(VARIABLES[name]):  # the body itself is the last
+    if ensemble.has_layers(VARIABLES[name]):  # the body itself is the last
         whole[(at, *cells[:-1], -1)] = values[..., -1]
         values, cells = values[..., :-1], (*cells[:-1], slice(values.shape[-1] - 1))
     if values.size:
@@ -163,29 +146,7 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
         failed = int((arrays["status"] == b"failed").sum())
         file.attrs.update(software=SOFTWARE, version=__version__, failed=failed)
         for name, values in arrays.items():
-            data = _create(file, _variable(name, values.ndim), values.shape, values.dtype)
-            data[...] = values.astype(data.dtype)  # of texts their encoding
-
-
-def _variable(name: str, ndim: int) -> Variable:
-    """Return the variable of an array (cases, ...); fields of the last states have no steps."""
-    variable = VARIABLES[name]
-    if "step" in variable.dimensions and ndim < len({"case", *variable.dimensions}):
-        variable = variable.at_last_step()
-    axes = tuple(axis for axis in variable.dimensions if axis != "case")
-    return Variable(name, ("case", *axes), variable.unit, variable.meaning)
-
-
-def _create(file: h5py.File, variable: Variable, shape: Sequence[int], kind: Any) -> h5py.Dataset:
-    """Return a new variable, NaN or empty texts so far."""
-    text = kind.kind == "S"
-    data = file.create_dataset(
-        variable.name, shape, h5py.string_dtype("utf-8", max(kind.itemsize, 1)) if text else kind,
-        fillvalue=np.nan if kind.kind == "f" else None, **_PACKED,
-    )  # fmt: skip
-    # with which xarray takes bytes for the texts that they are
-    data.attrs.update(variable.attributes | ({"_Encoding": "utf-8"} if text else {}))
-    return data
+            file.create_dataset(name, data=values, **_PACKED)
 
 
 # -- of all ------------------------------------------------------------------------------------
@@ -268,33 +229,50 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
     """Make axes and variables of all blocks, as yet without values; varied keys with theirs."""
 
-    def contents() -> Iterator[h5py.File]:
+    def contents() -> Iterator[Mapping[str, Any]]:
         for block in blocks:
             with _opened(block) as part:
                 yield part
 
-    sizes, variables = {"step": 1, "element": 1}, []
-    for name, (shape, kind) in _layout(contents()).items():
-        variable = _variable(name, 1 + len(shape))
-        sizes |= zip(variable.dimensions[1:], shape, strict=True)
-        _create(file, variable, (len(study), *shape), kind)
-        variables.append(variable)
-    for axis, size in sizes.items():
-        file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
-        file[axis].attrs.update({"step": _STATE, "element": ELEMENT, **AXES}[axis].attributes)
-    file["case"].make_scale("case")
     order = np.concatenate([block.numbers for block in blocks])
+    keys = {name: study.stored(name)[order] for name in study.names}
+    layout = _layout(chain(contents(), [keys]))
+    variables = {name: _variable(name, 1 + len(layout[name][0])) for name in layout.keys() - keys}
     for name, unit in study.units().items():
-        values = study.stored(name)[order]
-        variables.append(Variable(name, ("case",), unit or "1", own_key(name).meaning))
-        data = _create(file, variables[-1], values.shape, values.dtype)
-        data[...] = values.astype(data.dtype)
+        variables[name] = Variable(name, ("case",), unit or "1", own_key(name).meaning)
+    sizes = {"step": 1, "element": 1}
+    for name, (shape, kind) in layout.items():
+        sizes |= zip(variables[name].dimensions[1:], shape, strict=True)
+        text = kind.kind == "S"
+        data = file.create_dataset(
+            name, (len(study), *shape), h5py.string_dtype("utf-8", kind.itemsize) if text else kind,
+            fillvalue=np.nan if kind.kind == "f" else None, **_PACKED,
+        )  # fmt: skip
+        data.attrs.update(variables[name].attributes)
+        if text:  # with which xarray takes bytes for the texts that they are
+            data.attrs["_Encoding"] = "utf-8"
+        if name in keys:
+            data[...] = keys[name].astype(data.dtype)
         if name in study.ranges:
             data.attrs.update(zip(("spacing", "low", "high"), study.ranges[name], strict=True))
-    for variable in variables:
+    for axis, size in sizes.items():
+        file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
+        about = {"step": _STATE, "element": ELEMENT, **ensemble.AXES}[axis]
+        file[axis].attrs.update(about.attributes)
+    file["case"].make_scale("case")
+    for name, variable in variables.items():
         for i, axis in enumerate(variable.dimensions):
-            if variable.name != axis:
-                file[variable.name].dims[i].attach_scale(file[axis])
+            if name != axis:
+                file[name].dims[i].attach_scale(file[axis])
+
+
+def _variable(name: str, ndim: int) -> Variable:
+    """Return the variable of an array (cases, ...); fields of the last states have no steps."""
+    variable = VARIABLES[name]
+    if "step" in variable.dimensions and ndim < len({"case", *variable.dimensions}):
+        variable = variable.at_last_step()
+    axes = tuple(axis for axis in variable.dimensions if axis != "case")
+    return Variable(name, ("case", *axes), variable.unit, variable.meaning)
 
 
 def _columns(file: h5py.File, study: Study, block: Block, some: slice) -> dict[str, list[str]]:
@@ -309,7 +287,7 @@ def _columns(file: h5py.File, study: Study, block: Block, some: slice) -> dict[s
     columns |= texts("status", "error")
     for name, variable in END_VALUES.items():
         if variable.name in file:
-            ends = columns_of(name, file[variable.name][some])
+            ends = ensemble.columns_of(name, file[variable.name][some])
             columns |= {column: _texts(values) for column, values in ends.items()}
     columns["seconds"] = [f"{seconds:.4f}" for seconds in file["seconds"][some].tolist()]
     return columns | texts("flags", "number")

@@ -77,14 +77,13 @@ class Response:
     form: str
     #: scikit-learn's regressor of the form, (cases, columns)
     process: Any
-    #: root mean square of the distance from the mean over the cases
+    #: root mean square of the distance from the mean over the cases, and of errors in left-out ones
     spread: float
+    error: float
     #: of a case's values, whose product is the number of columns
     shape: tuple[int, ...]
     #: between which it can be
     limits: tuple[float, float]
-    #: root mean square of errors in left-out cases
-    error: float
 
     @property
     def relative_error(self) -> float:
@@ -124,7 +123,7 @@ def _fitted(
     limits = 0.0 if low >= 0.0 else -math.inf, 1.0 if name in LAYER_HISTORIES else math.inf
     spread = _rms(flat - flat.mean(axis=0))
     if spread <= 1e-12 * float(np.abs(flat).max()):
-        return Response("itself", _process(points, flat, False), 0.0, shape, limits, 0.0)
+        return Response("itself", _process(points, flat, False), 0.0, 0.0, shape, limits)
     responses = []
     for form in ["itself", *["square root"] * (low >= 0.0), *["logarithm"] * (low > 0.0)]:
         function, back = _FORMS[form]
@@ -134,7 +133,7 @@ def _fitted(
             share * _rms(np.clip(back(table[rows] - wrong), *limits) - flat[rows])
             for rows, share, wrong in _errors(process, table, columns)
         )
-        responses.append(Response(form, process, spread, shape, limits, error))
+        responses.append(Response(form, process, spread, error, shape, limits))
     return min(responses, key=lambda response: response.error)
 
 
@@ -236,11 +235,9 @@ class Surrogate:
                 f"vary, {', '.join(self.ranges)}"
             )
         columns = np.broadcast_arrays(*(f.read(values[f.name]) for f in self.factors))
-        points = _points(self.factors, [column.ravel() for column in columns])
+        points, shape = _points(self.factors, [c.ravel() for c in columns]), columns[0].shape
         return {
-            name: response.at(points, deviations=deviations).reshape(
-                (*columns[0].shape, *response.shape)
-            )
+            name: response.at(points, deviations=deviations).reshape((*shape, *response.shape))
             for name, response in self.responses.items()
         }
 
@@ -301,8 +298,7 @@ def share_words(relative_error: float) -> str:
 
 
 def surrogate(
-    folder: Ensemble | Path | str,
-    responses: Sequence[str] | Mapping[str, Any] | None = None,
+    folder: Ensemble | Path | str, responses: Sequence[str] | Mapping[str, Any] | None = None
 ) -> Surrogate:
     """Return a surrogate of a sweep's responses over its varied keys. Not collective.
 

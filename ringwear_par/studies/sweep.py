@@ -8,7 +8,7 @@ and ``cases.csv``. Killed, stopped or started several times at once, the same co
 import fcntl
 import shutil
 import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -95,8 +95,7 @@ def sweep(
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    work = _prepared(study, Path(folder), comm, ranks_per_case, retry_failed)
-    return _without_failures(work, _complete(work))
+    return _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
 
 
 def run_sweep(
@@ -112,9 +111,8 @@ def run_sweep(
     work = _prepared(study, folder, comm, ranks_per_case, retry_failed)
     if dry_run:
         print(_estimate(work))
-        return
-    print(summary := _complete(work))
-    _without_failures(work, summary)
+    else:
+        _complete(work, print)
 
 
 # -- before any work -------------------------------------------------------------------------------
@@ -167,27 +165,33 @@ def _has_failed(block: Block) -> bool:
 # -- work ------------------------------------------------------------------------------------------
 
 
-def _complete(work: _Work) -> Summary:
+def _complete(work: _Work, say: Callable[[Summary], None] | None = None) -> Summary:
     """Compute the blocks that are not there, and merge them. Collective on work.comm.
 
     Raises
     ------
-    InputError, ComputationError : a block cannot be read, the disk.
+    InputError, ComputationError : a block cannot be read, the disk; cases failed.
     """
-    computed, started = 0, time.perf_counter()
+    computed, started, blocks = 0, time.perf_counter(), work.blocks
     try:
         while not on_first_rank(work.comm, lambda: _merge(work)):
             computed += _compute(work)
+    except InputError:
+        raise
     except (KeyboardInterrupt, RingwearError) as end:
-        if isinstance(end, InputError):
-            raise
-        there_are = f"{there(work.blocks)} of {len(work.blocks)} blocks are there"
+        there_are = f"{there(blocks)} of {len(blocks)} blocks are there"
         sentence = f"{str(end) or 'Ctrl-C'}; {there_are}, and the same command goes on"
         if isinstance(end, KeyboardInterrupt):
             raise KeyboardInterrupt(sentence) from None
         raise _of_all_ranks(work, sentence) from end
     seconds = time.perf_counter() - started
-    return on_first_rank(work.comm, lambda: _summary(work, computed, seconds))
+    summary = on_first_rank(work.comm, lambda: _summary(work, computed, seconds))
+    if say is not None:
+        say(summary)
+    if summary.failed:
+        counts = f"{summary.failed} of {summary.total} cases failed"
+        raise _of_all_ranks(work, f"{counts}; {work.folder / TABLE} says why of each")
+    return summary
 
 
 def _of_all_ranks(work: _Work, sentence: str) -> ComputationError:
@@ -195,14 +199,6 @@ def _of_all_ranks(work: _Work, sentence: str) -> ComputationError:
     error = ComputationError(sentence)
     error.ranks = work.comm.size
     return error
-
-
-def _without_failures(work: _Work, summary: Summary) -> Summary:
-    """Return the summary of a sweep; ComputationError if cases failed."""
-    if summary.failed:
-        counts = f"{summary.failed} of {summary.total} cases failed"
-        raise _of_all_ranks(work, f"{counts}; {work.folder / TABLE} says why of each")
-    return summary
 
 
 def _compute(work: _Work) -> int:
