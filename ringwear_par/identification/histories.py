@@ -28,7 +28,7 @@ from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.progress import Progress
 from ringwear_par.results.result import Result
 from ringwear_par.results.signals import StopSignals, name_of
-from ringwear_par.studies.together import computed
+from ringwear_par.studies.many import computed
 from ringwear_par.studies.variations import split_key
 
 T = TypeVar("T")

@@ -81,7 +81,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
     columns["status"] = "", "done or failed", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():
-        columns[name] = end_value_of(name)[0].stored.unit, meaning_of(name), values
+        columns[name] = end_value_of(name)[1].unit, meaning_of(name), values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
     flags = ensemble.flags
     columns["flags"] = "", "what makes the answer doubtful or ended the case early", flags

@@ -20,8 +20,8 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.bem.boundary import count_elements
+from ringwear_par.studies.many import most_together
 from ringwear_par.studies.study import Study
-from ringwear_par.studies.together import most_together
 
 log = logging.getLogger(__name__)
 

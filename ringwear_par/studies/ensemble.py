@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,26 +19,9 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_label
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import shortened, toml_value
+from ringwear_par.results import variables
 from ringwear_par.results.hdf5 import reading
-from ringwear_par.results.variables import (
-    EDGE_ELEMENT,
-    HISTORIES,
-    LABORATORY_NUMBERS,
-    LARGEST_STRESS,
-    LAYER,
-    LAYER_HISTORIES,
-    LAYER_PROFILES,
-    LAYER_STRESS,
-    LAYER_VOLUMES,
-    LINE,
-    POINT,
-    POINT_STRESS,
-    POINTS,
-    PROFILES,
-    TIMES_THROUGH,
-    UPPER_LAYER,
-    Variable,
-)
+from ringwear_par.results.variables import HISTORIES, LABORATORY_NUMBERS, Variable
 
 if TYPE_CHECKING:
     import xarray
@@ -51,59 +35,48 @@ _LOG_KEY = 20.0
 # -- variables of cases ----------------------------------------------------------------------------
 
 #: at the stored states that stress is computed for
-STRESS = {**LARGEST_STRESS, **LAYER_STRESS, **POINT_STRESS}
+STRESS = {**variables.LARGEST_STRESS, **variables.LAYER_STRESS, **variables.POINT_STRESS}
 #: along the contact line, at each stored state or at the last one
-FIELDS = {**PROFILES, **LAYER_PROFILES}
+FIELDS = {**variables.PROFILES, **variables.LAYER_PROFILES}
+#: numbers that follow from a history, at its end
+_NUMBERS = {
+    name: replace(number, dimensions=(), meaning=f"{number.meaning}, at the last stored step")
+    for name, number in LABORATORY_NUMBERS.items()
+}
 #: a number of each case, or one a point
-OF_A_CASE = {
-    **TIMES_THROUGH, **POINTS,
-    **{
-        name: replace(
-            number, dimensions=("case",), meaning=f"{number.meaning}, at the last stored step"
-        )
-        for name, number in LABORATORY_NUMBERS.items()
-    },
-}  # fmt: skip
+OF_A_CASE = {**variables.TIMES_THROUGH, **variables.POINTS, **_NUMBERS}
 #: of a case's history; all but ``HISTORIES`` are of some cases only, padded with NaN in the others
 STORED = {
-    **HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS, **LINE, **FIELDS, **OF_A_CASE,
+    **HISTORIES, **variables.LAYER_HISTORIES, **variables.LAYER_VOLUMES, **STRESS,
+    **variables.LINE, **FIELDS, **OF_A_CASE,
 }  # fmt: skip
 #: about each case
 OF_CASES = {
-    variable.name: variable
-    for variable in (
-        Variable("case", ("case",), "1", "case, by its content"),
-        Variable("number", ("case",), "1", "number of the case in the design", integer=True),
-        Variable("status", ("case",), "1", "done, failed or incomplete"),
-        Variable("error", ("case",), "1", "why the case failed"),
-        Variable(
-            "flags", ("case",), "1",
-            "what makes the answer doubtful or ended the case early, separated by commas",
-        ),
-        Variable("seconds", ("case",), "s", "wall time of the case"),
-        Variable(
-            "imbalance", ("case",), "1",
-            "worst error of the balances of force, energy and contact of its steps",
-        ),
-        Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
-        Variable("elements", ("case",), "1", "number of contact elements", integer=True),
+    name: Variable(name, ("case",), unit, meaning)
+    for name, unit, meaning in (
+        ("case", "1", "case, by its content"),
+        ("number", "1", "number of the case in the design"),
+        ("status", "1", "done, failed or incomplete"),
+        ("error", "1", "why the case failed"),
+        ("flags", "1",
+         "what makes the answer doubtful or ended the case early, separated by commas"),
+        ("seconds", "s", "wall time of the case"),
+        ("imbalance", "1",
+         "worst error of the balances of force, energy and contact of its steps"),
+        ("steps_stored", "1", "number of stored steps"),
+        ("elements", "1", "number of contact elements"),
     )
 }  # fmt: skip
 
 #: axes other than those of steps and elements, and their coordinates
-AXES = {axis.name: axis for axis in (LAYER, UPPER_LAYER, POINT)}
+AXES = {axis.name: axis for axis in (variables.LAYER, variables.UPPER_LAYER, variables.POINT)}
 #: replaces a layer's number, since cases of a sweep may have other numbers of layers
 BODY = "body"
 
 
-def axis_of(variable: Variable) -> str:
-    """Return the axis of a variable other than steps and elements, "" where it has none."""
-    return next((name for name in variable.dimensions if name in AXES), "")
-
-
 def has_layers(variable: Variable) -> bool:
     """Tell whether a variable runs over layers; the last number is of the body itself."""
-    return axis_of(variable) in (LAYER.name, UPPER_LAYER.name)
+    return any(axis.startswith("layer") for axis in variable.dimensions)
 
 
 # -- end values ------------------------------------------------------------------------------------
@@ -114,103 +87,88 @@ MAIN_END_VALUES = ("penetration", "worn_volume_lower", "worn_volume_upper")
 STRESS_STATES = "max_mises"
 
 
-@dataclass(frozen=True)
-class EndValue:
-    """A number of each case, or of each of its layers or points, each a column of ``cases.csv``."""
-
-    #: in the table
-    name: str
-    #: name of the variable that it is taken of
-    source: str
-    #: the variable of the results file
-    stored: Variable
-    #: whether surrogates answer for it: places of the largest stress jump, numbers of laboratories
-    #: follow from others
-    smooth: bool
-
-    def of(self, tables: Mapping[str, Any]) -> FloatArray:
-        """Return the values of cases, (cases,) or (cases, layers or points), NaN without any.
-
-        Of their variables, (cases, ...) by name: the last stored row, of stress the last that has
-        some; of fields the least along the contact line.
-        """
-        there = np.isfinite(tables[STRESS_STATES if self.source in STRESS else "time"])
-        rows = tables[self.source]
-        axes = STORED[self.source].dimensions
-        if "step" in axes and rows.ndim == len({"case", *axes}):
-            last = there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
-            rows = rows[np.arange(len(rows)), last]
-        if self.source in FIELDS:
-            rows = np.fmin.reduce(rows, axis=-1)
-        rows = rows.copy()
-        rows[~there.any(axis=1)] = np.nan
-        return rows
-
-
-def _end_value(source: Variable) -> EndValue:
-    """Return the end value of a variable by what kind it is of."""
-    name, meaning, smooth = source.name, source.meaning, True
-    axes = ("case", axis_of(source)) if axis_of(source) else ("case",)
+def _stored_end_value(source: Variable) -> tuple[str, Variable]:
+    """Return the column of ``cases.csv`` for a variable at the end, and what results store."""
+    name, meaning = source.name, source.meaning
+    axes = ("case", *(axis for axis in source.dimensions if axis in AXES))
     if name in OF_A_CASE:
-        return EndValue(
-            name, name, replace(source, dimensions=axes), name not in LABORATORY_NUMBERS
-        )
-    when = "at the last stored step"
-    stored = f"final_{name}"
-    if name in STRESS:
-        when, smooth = "at the last time that it is stored of", source.unit == "MPa"
-    elif name in FIELDS:
-        name, stored, meaning = f"least_{name}", f"final_least_{name}", f"least {meaning}"
-    variable = Variable(stored, axes, source.unit, f"{meaning}, {when}")
-    return EndValue(name, source.name, variable, smooth)
+        return name, replace(source, dimensions=axes)
+    if name in FIELDS:
+        name, meaning = f"least_{name}", f"least {meaning}"
+    when = "time that it is stored of" if name in STRESS else "stored step"
+    return name, Variable(f"final_{name}", axes, source.unit, f"{meaning}, at the last {when}")
 
 
-_BY_BODY = zip(
-    *(table.values() for table in (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)),
-    strict=True,
+_BY_BODY = (
+    variables.LAYER_VOLUMES, variables.LAYER_HISTORIES, variables.TIMES_THROUGH,
+    variables.LAYER_PROFILES,
+)  # fmt: skip
+#: numbers of each case, or of each of its layers or points: columns of ``cases.csv`` in their
+#: order, and the variables of results that have them
+END_VALUES = dict(
+    map(
+        _stored_end_value,
+        (
+            *(HISTORIES[name] for name in MAIN_END_VALUES),
+            *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
+            *chain(*zip(*(table.values() for table in _BY_BODY), strict=True)),
+            *STRESS.values(),
+        ),
+    )
 )
-_SOURCES = (
-    *(HISTORIES[name] for name in MAIN_END_VALUES),
-    *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
-    *(variable for of_a_body in _BY_BODY for variable in of_a_body),
-    *STRESS.values(),
-)
-#: in the order of the table
-END_VALUES = {end_value.name: end_value for end_value in map(_end_value, _SOURCES)}
 #: all variables of results by name, but varied keys
 VARIABLES = {
-    **STORED, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **{end_value.stored.name: end_value.stored for end_value in END_VALUES.values()}, **OF_CASES,
+    **STORED, "edge_element": variables.EDGE_ELEMENT,
+    **{variable.name: variable for variable in END_VALUES.values()}, **OF_CASES,
 }  # fmt: skip
 
 
-def end_value_of(name: str) -> tuple[EndValue, str]:
-    """Return the end value that a column is of, and its entry, "" where it has but one."""
-    source, _, entry = name.partition("[")
-    return END_VALUES[source], entry.removesuffix("]")
+def end_values(tables: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Return the end values, (cases,) or (cases, layers or points), NaN without any.
+
+    Of variables, (cases, ...) by name: the last stored row, of stress the last that has some; of
+    fields the least along the contact line.
+    """
+    ends = {}
+    for name, variable in END_VALUES.items():
+        source = name.removeprefix("least_")
+        if source not in tables or variable.name in tables:
+            continue
+        there = np.isfinite(tables[STRESS_STATES if source in STRESS else "time"])
+        rows, axes = tables[source], STORED[source].dimensions
+        if "step" in axes and rows.ndim == len({"case", *axes}):
+            last = there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
+            rows = rows[np.arange(len(rows)), last]
+        ends[variable.name] = np.fmin.reduce(rows, axis=-1) if source in FIELDS else rows.copy()
+        ends[variable.name][~there.any(axis=1)] = np.nan
+    return ends
 
 
-def entries(end_value: EndValue, values: FloatArray) -> dict[str, FloatArray]:
-    """Return numbers of cases by their names, the last axis of those that have one taken apart."""
-    if not axis_of(end_value.stored):
-        return {end_value.name: values}
-    names = [str(i) for i in range(values.shape[-1])]
-    if has_layers(end_value.stored):
-        names[-1] = BODY
-    return {f"{end_value.name}[{name}]": values[..., i] for i, name in enumerate(names)}
+def end_value_of(name: str) -> tuple[str, Variable, str]:
+    """Return the end value of a column, its variable, and words for the layer or point, or ""."""
+    column, _, entry = name.removesuffix("]").partition("[")
+    variable = END_VALUES[column]
+    if not entry:
+        return column, variable, ""
+    axis = variable.dimensions[-1].removesuffix("_upper")
+    return column, variable, "the body itself" if entry == BODY else f"{axis} {entry}"
 
 
-def entry_words(end_value: EndValue, entry: str) -> str:
-    """Return the words for one of the numbers of an end value with layers or points."""
-    axis = axis_of(end_value.stored).removesuffix("_upper")
-    return "the body itself" if entry == BODY else f"{axis} {entry}"
+def columns_of(name: str, values: FloatArray) -> dict[str, FloatArray]:
+    """Return the columns of an end value: one, or one for each layer or point."""
+    variable = END_VALUES[name]
+    if len(variable.dimensions) < 2:
+        return {name: values}
+    entries: list[Any] = [*range(values.shape[-1])]
+    if has_layers(variable):
+        entries[-1] = BODY
+    return {f"{name}[{entry}]": values[..., i] for i, entry in enumerate(entries)}
 
 
 def meaning_of(name: str) -> str:
     """Return what a column of the table is."""
-    end_value, entry = end_value_of(name)
-    meaning = end_value.stored.meaning
-    return f"{meaning}; {entry_words(end_value, entry)}" if entry else meaning
+    _, variable, entry = end_value_of(name)
+    return f"{variable.meaning}; {entry}" if entry else variable.meaning
 
 
 # -- reading ---------------------------------------------------------------------------------------
@@ -218,30 +176,29 @@ def meaning_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """A sweep's results without their histories, which ``histories`` reads."""
+    """A sweep's results without their histories, which ``histories`` reads.
+
+    Of each case, (cases,): its id, status, error, flags (reasons to doubt it, separated by commas),
+    wall time (s) and number of stored steps.
+    """
 
     #: of results.h5
     path: Path
-    #: (cases,) str
     ids: tuple[str, ...]
     status: tuple[str, ...]
     error: tuple[str, ...]
-    #: (cases,) float
+    flags: tuple[str, ...]
     seconds: FloatArray
-    #: (cases,) int
     steps_stored: IntArray
-    #: values by varied key, (cases,) float, or str where they are not numbers
+    #: values by varied key, (cases,) float, or str where they are not numbers, and units, or ""
     varied: dict[str, Any]
-    #: their units, "" for none
     units: dict[str, str]
-    #: last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored
+    #: end values by column of ``cases.csv``, (cases,) float; NaN where nothing is stored
     final: dict[str, FloatArray]
     #: of the file: ``method`` of the design, ``study``, its base ``case``, ``status``, versions
     attributes: dict[str, Any]
     #: keys that the design varies by ranges: whether by logarithms, and the ends
     spacings: dict[str, tuple[bool, tuple[float, float]]]
-    #: reasons to doubt the answer of a case, separated by commas, (cases,)
-    flags: tuple[str, ...]
 
     @cached_property
     def done(self) -> BoolArray:
@@ -264,24 +221,23 @@ def read_ensemble(folder: Path) -> Ensemble:
             "was interrupted"
         )
     with reading(path, SOFTWARE, FILE_KIND) as file:
-        attributes = dict(file.attrs)
-        ids, status, error, flags = (
-            tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")
-        )
+        texts = [tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")]
         varied, units, spacings = {}, {}, {}
-        for name in attributes["coordinates"].split():
+        for name in file.attrs["coordinates"].split():
             key, about = file[name], file[name].attrs
             varied[name] = key[:] if key.dtype.kind == "f" else key.asstr()[:]
             units[name] = "" if about["units"] == "1" else about["units"]
             if "spacing" in about:
                 spacings[name] = about["spacing"] == "log", (about["low"], about["high"])
-        final: dict[str, FloatArray] = dict.fromkeys(MAIN_END_VALUES, np.full(len(ids), np.nan))
-        for end_value in END_VALUES.values():
-            if end_value.stored.name in file:
-                final |= entries(end_value, file[end_value.stored.name][:])
+        final: dict[str, FloatArray] = {}
+        for name, variable in END_VALUES.items():
+            if variable.name in file:
+                final |= columns_of(name, file[variable.name][:])
+            elif name in MAIN_END_VALUES:  # no case has an end
+                final[name] = np.full(len(texts[0]), np.nan)
         return Ensemble(
-            path, ids, status, error, file["seconds"][:], file["steps_stored"][:], varied, units,
-            final, attributes, spacings, flags,
+            path, *texts, file["seconds"][:], file["steps_stored"][:], varied, units, final,
+            dict(file.attrs), spacings,
         )  # fmt: skip
 
 

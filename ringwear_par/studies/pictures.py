@@ -26,7 +26,6 @@ from ringwear_par.studies.ensemble import (
     Ensemble,
     Factor,
     end_value_of,
-    entry_words,
     factors_of,
 )
 from ringwear_par.studies.surrogate import (
@@ -299,14 +298,13 @@ _UNITS = DISPLAY_UNITS | {"share_through": ("%", 100.0), "least_layer_left": ("u
 
 def display_of(name: str) -> Display:
     """Return how a number is drawn: its name, then its body, then its entry."""
-    end_value, entry = end_value_of(name)
-    words = end_value.name.removesuffix("_layers")
+    column, variable, entry = end_value_of(name)
+    words = column.removesuffix("_layers")
     body = words.rpartition("_")[2]
     body = body if body in BODIES else ""
     words = words.removesuffix(f"_{body}")
-    unit, factor = _UNITS.get(words, (end_value.stored.unit, 1.0))
-    parts = [_WORDS.get(words, words.replace("_", " ")), body]
-    parts.append(entry_words(end_value, entry) if entry else "")
+    unit, factor = _UNITS.get(words, (variable.unit, 1.0))
+    parts = [_WORDS.get(words, words.replace("_", " ")), body, entry]
     return Display(factor, ", ".join(filter(None, parts)), in_signs(unit))
 
 

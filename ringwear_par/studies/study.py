@@ -26,12 +26,11 @@ from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_
 from ringwear_par.cases.schema import unit_under
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import Fault, InputError
-from ringwear_par.files.text import read_text, toml_text, toml_value
+from ringwear_par.files.text import read_text, toml_value
 from ringwear_par.history.refusals import check_memory, check_mesh
 from ringwear_par.studies.variations import (
     cell,
     mapped,
-    path_of,
     read_draft,
     split_key,
     value_of,
@@ -85,20 +84,15 @@ class Study:
         """The varied keys."""
         return tuple(self.columns)
 
-    @property
-    def base_text(self) -> str:
-        """The base case as TOML."""
-        return toml_text(self.base)
-
     def units(self) -> dict[str, str]:
         """Return the units of the varied keys under the laws of the cases, "" for none."""
-        return {name: unit_under(name, self._laws) for name in self.names}
 
-    def _laws(self, key: str) -> list[Any]:
-        """Return the laws that the key of a law has in the cases."""
-        base = value_of(self.base, key)
-        laws = dict.fromkeys(self.columns[key].tolist()) if key in self.columns else (base,)
-        return [base if law is None else law for law in laws]
+        def laws(key: str) -> list[Any]:
+            base = value_of(self.base, key)
+            varied = dict.fromkeys(self.columns[key].tolist()) if key in self.columns else [base]
+            return [base if law is None else law for law in varied]
+
+        return {name: unit_under(name, laws) for name in self.names}
 
     def stored(self, name: str) -> Any:
         """Return the values of a key as results have them: numbers or bytes."""
@@ -106,31 +100,21 @@ class Study:
             return self._numeric[name]
         return np.array([text.encode() for text in mapped(self.columns[name], cell)])
 
-    @cached_property
-    def _numeric(self) -> dict[str, FloatArray]:
-        """The columns whose values are all numbers."""
-        return {
-            name: column.astype(float)
-            for name, column in self.columns.items()
-            if column.dtype == float or all(map(is_number, column))
-        }
-
     # -- cases -------------------------------------------------------------------------------------
 
-    def keys(self, number: int) -> dict[str, Any]:
-        """Return the dotted keys and raw values of a case, from 0 on."""
-        return self.keys_of([column[number] for column in self.columns.values()])
+    def row(self, number: int) -> list[Any]:
+        """Return the raw values of a case, from 0 on."""
+        return [column.item(number) for column in self.columns.values()]
 
-    def keys_of(self, row: Sequence[Any]) -> dict[str, Any]:
-        """Return the keys of a case with a row of values."""
-        values = [float(value) if isinstance(value, np.float64) else value for value in row]
-        return varied_keys(self.base, self.names, values)
+    def keys(self, row: Sequence[Any]) -> dict[str, Any]:
+        """Return the dotted keys and raw values of a case with a row of values."""
+        return varied_keys(self.base, self.names, row)
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""
         name = f"{self.name}: case {number + 1}"
         with naming(f"{name}:"):
-            keys = self.keys(number)
+            keys = self.keys(self.row(number))
         case = make_case(keys, name, text)
         refuse_bad_laws(case, name)
         return case
@@ -142,52 +126,55 @@ class Study:
         except InputError as error:
             return error
 
+    def cases_of(self, numbers: IntArray) -> list[Case | InputError]:
+        """Return some cases, without texts, or why one cannot be.
+
+        Of cases that differ in numbers only, one is read, and the others are its copies.
+        """
+        cases = np.empty(len(numbers), dtype=object)
+        kinds = self._kinds[numbers]
+        for kind in np.unique(kinds):
+            places = np.flatnonzero(kinds == kind)
+            pattern, bad = self.case_or_error(int(numbers[places[0]])), places[1:]
+            cases[places[0]] = pattern
+            if self._numbers and isinstance(pattern, Case):
+                values = {name: of[numbers[places]] for name, of in self._numbers.items()}
+                columns = {name: column.tolist() for name, column in values.items()}
+                cases[places] = with_numbers(pattern, columns, [""] * len(places))
+                bad = places[needs_reading(pattern, values)]
+            for place in bad.tolist():
+                cases[place] = self.case_or_error(int(numbers[place]))
+        return cases.tolist()
+
     @cached_property
     def first(self) -> int:
         """The first case that can be, or 0 where none of many can."""
-        for number in range(min(len(self), _MOST_BAD)):
-            if isinstance(self.case_or_error(number), Case):
-                return number
-        return 0
+        some = range(min(len(self), _MOST_BAD))
+        return next((n for n in some if isinstance(self.case_or_error(n), Case)), 0)
+
+    # -- which cases are alike ---------------------------------------------------------------------
 
     @cached_property
-    def _parts(self) -> list[tuple[str, int | str | None]]:
-        return [split_key(name) for name in self.names]
+    def _numeric(self) -> dict[str, FloatArray]:
+        """The columns whose values are all numbers."""
+        return {
+            name: column.astype(float)
+            for name, column in self.columns.items()
+            if column.dtype == float or all(map(is_number, column))
+        }
 
     @cached_property
     def _numbers(self) -> dict[Number, FloatArray]:
         """Columns of numbers: cases that differ in them only are copies of each other."""
-        paths = {*self.base, *map(path_of, self.names)}
+        paths = {*self.base, *(split_key(name)[0] for name in self.names)}
         numbers: dict[Number, FloatArray] = {}
-        for name, (path, entry) in zip(self.names, self._parts, strict=True):
+        for name, column in self._numeric.items():
+            path, entry = split_key(name)
             # no factor of the elasticity of a ring with layers
             layered = f"{path.removesuffix('young')}layers" in paths
-            number = None if isinstance(entry, int) or layered else (path, entry)
-            if name in self._numeric and number and interval_of(number) is not None:
-                numbers[number] = self._numeric[name]
+            if not (isinstance(entry, int) or layered) and interval_of((path, entry)) is not None:
+                numbers[path, entry] = column
         return numbers
-
-    def cases_of(self, numbers: IntArray) -> list[Case | InputError]:
-        """Return some cases, without texts, or why one cannot be."""
-        cases = np.empty(len(numbers), dtype=object)
-        kinds = self._kinds[numbers]
-        for kind in np.unique(kinds):
-            cases[kinds == kind] = self._alike(numbers[kinds == kind])
-        return cases.tolist()
-
-    def _alike(self, numbers: IntArray) -> list[Case | InputError]:
-        """Return cases that differ in numbers only: one is read, the others are its copies."""
-        pattern = self.case_or_error(int(numbers[0]))
-        if isinstance(pattern, InputError) or not self._numbers:
-            return [pattern, *map(self.case_or_error, numbers[1:].tolist())]
-        values = {name: column[numbers] for name, column in self._numbers.items()}
-        columns = {name: column.tolist() for name, column in values.items()}
-        cases: list[Case | InputError] = [*with_numbers(pattern, columns, [""] * len(numbers))]
-        for place in np.flatnonzero(needs_reading(pattern, values)):
-            cases[place] = self.case_or_error(int(numbers[place]))
-        return cases
-
-    # -- their order ---------------------------------------------------------------------------
 
     @cached_property
     def shapes(self) -> IntArray:
@@ -199,7 +186,7 @@ class Study:
         """(cases,) equal numbers where cases differ in numbers only."""
         return self._codes("")
 
-    @cached_property
+    @property
     def order(self) -> IntArray:
         """The cases by contact pair, then by what else is no number, else as in the design."""
         return np.lexsort((self._kinds, self.shapes))
@@ -207,8 +194,8 @@ class Study:
     def _codes(self, starts: str | tuple[str, ...]) -> IntArray:
         """Return (cases,) equal numbers where keys that start so, and are no numbers, agree."""
         codes = np.zeros(len(self), dtype=np.int64)
-        for part, column in zip(self._parts, self.columns.values(), strict=True):
-            if part[0].startswith(starts) and part not in self._numbers:
+        for name, column in self.columns.items():
+            if name.startswith(starts) and split_key(name) not in self._numbers:
                 first, own = _distinct(column)
                 codes = codes * len(first) + own
                 codes = np.unique(codes, return_inverse=True)[1].astype(np.int64)
@@ -225,8 +212,8 @@ class Study:
         base = {path: raw for path, raw in self.base.items() if path != "title"}
         common = hashlib.sha256(_json(_content(base), self.names))
         columns = [
-            mapped(column[numbers], partial(_content, path=path))
-            for (path, _), column in zip(self._parts, self.columns.values(), strict=True)
+            mapped(column[numbers], partial(_content, path=split_key(name)[0]))
+            for name, column in self.columns.items()
         ]
         ids = []
         for row in zip(*columns, strict=True):
@@ -302,21 +289,21 @@ def _check(study: Study, ranks: int) -> None:
 
     A value is bad if it is with those of the first case, and in the last case that has it.
     """
-    case = study.case(study.first)
+    case, row = study.case(study.first), study.row(study.first)
     check_memory(case, ranks, study.name)
     check_mesh(case, study.name)
-    row, faults = [column[study.first] for column in study.columns.values()], list[Fault]()
+    faults: list[Fault] = []
     for i, column in enumerate(study.columns.values()):
         first, codes = _distinct(column)
-        ends = range(len(first))[: _MOST_VALUES if column.dtype == object else None]
-        if len(ends) > _MOST_VALUES:  # the least and the largest number
+        ends = [*range(len(first))]
+        if column.dtype != object and len(ends) > _MOST_VALUES:  # the least and the largest number
             ends = ends[:: len(ends) - 1]
-        for end in ends:
-            keys = study.keys_of([*row[:i], column[first[end]], *row[i + 1 :]])
+        for end in ends[:_MOST_VALUES]:
+            number, last = int(first[end]), int(np.flatnonzero(codes == end)[-1])
+            keys = study.keys([*row[:i], study.row(number)[i], *row[i + 1 :]])
             try:
-                make_case(keys, f"{study.name}: case {first[end] + 1}", "")
+                make_case(keys, f"{study.name}: case {number + 1}", "")
             except InputError as error:
-                last = int(np.flatnonzero(codes == end)[-1])
                 if isinstance(study.case_or_error(last), InputError):
                     faults += error.faults
     if faults:

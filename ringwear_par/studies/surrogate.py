@@ -20,8 +20,15 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.ensemble import Ensemble, Factor, end_value_of, factors_of, read_ensemble
+from ringwear_par.results.variables import LABORATORY_NUMBERS, LAYER_HISTORIES
+from ringwear_par.studies.ensemble import (
+    STRESS,
+    Ensemble,
+    Factor,
+    end_value_of,
+    factors_of,
+    read_ensemble,
+)
 
 log = logging.getLogger(__name__)
 
@@ -70,14 +77,13 @@ class Response:
     form: str
     #: scikit-learn's regressor of the form, (cases, columns)
     process: Any
-    #: root mean square of the distance from the mean over the cases
+    #: root mean square of the distance from the mean over the cases, and of errors in left-out ones
     spread: float
+    error: float
     #: of a case's values, whose product is the number of columns
     shape: tuple[int, ...]
     #: between which it can be
     limits: tuple[float, float]
-    #: root mean square of errors in left-out cases
-    error: float
 
     @property
     def relative_error(self) -> float:
@@ -117,7 +123,7 @@ def _fitted(
     limits = 0.0 if low >= 0.0 else -math.inf, 1.0 if name in LAYER_HISTORIES else math.inf
     spread = _rms(flat - flat.mean(axis=0))
     if spread <= 1e-12 * float(np.abs(flat).max()):
-        return Response("itself", _process(points, flat, False), 0.0, shape, limits, 0.0)
+        return Response("itself", _process(points, flat, False), 0.0, 0.0, shape, limits)
     responses = []
     for form in ["itself", *["square root"] * (low >= 0.0), *["logarithm"] * (low > 0.0)]:
         function, back = _FORMS[form]
@@ -127,7 +133,7 @@ def _fitted(
             share * _rms(np.clip(back(table[rows] - wrong), *limits) - flat[rows])
             for rows, share, wrong in _errors(process, table, columns)
         )
-        responses.append(Response(form, process, spread, shape, limits, error))
+        responses.append(Response(form, process, spread, error, shape, limits))
     return min(responses, key=lambda response: response.error)
 
 
@@ -229,11 +235,9 @@ class Surrogate:
                 f"vary, {', '.join(self.ranges)}"
             )
         columns = np.broadcast_arrays(*(f.read(values[f.name]) for f in self.factors))
-        points = _points(self.factors, [column.ravel() for column in columns])
+        points, shape = _points(self.factors, [c.ravel() for c in columns]), columns[0].shape
         return {
-            name: response.at(points, deviations=deviations).reshape(
-                (*columns[0].shape, *response.shape)
-            )
+            name: response.at(points, deviations=deviations).reshape((*shape, *response.shape))
             for name, response in self.responses.items()
         }
 
@@ -294,8 +298,7 @@ def share_words(relative_error: float) -> str:
 
 
 def surrogate(
-    folder: Ensemble | Path | str,
-    responses: Sequence[str] | Mapping[str, Any] | None = None,
+    folder: Ensemble | Path | str, responses: Sequence[str] | Mapping[str, Any] | None = None
 ) -> Surrogate:
     """Return a surrogate of a sweep's responses over its varied keys. Not collective.
 
@@ -331,7 +334,7 @@ def surrogate(
     final = ensemble.final
     if responses is None:
         finite = (n for n, v in final.items() if np.isfinite(v[cases]).all())
-        responses = [name for name in finite if end_value_of(name)[0].smooth]
+        responses = [name for name in finite if _is_smooth(name)]
     arrays = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
     fitted = {}
     for name, values in arrays.items():
@@ -346,6 +349,12 @@ def surrogate(
     if max(made.relative_error.values(), default=0.0) > GOOD:
         log.warning("more cases would make errors smaller: %r", made)
     return made
+
+
+def _is_smooth(name: str) -> bool:
+    """Tell whether a final value is no place of the largest stress, which jumps, and no rate."""
+    column, variable, _ = end_value_of(name)
+    return column not in LABORATORY_NUMBERS and (column not in STRESS or variable.unit == "MPa")
 
 
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:

@@ -6,12 +6,11 @@ and ``cases.csv``. Killed, stopped or started several times at once, the same co
 """
 
 import fcntl
-import logging
 import shutil
 import time
-from collections.abc import Hashable, Mapping, Sequence
-from contextlib import closing, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import closing, nullcontext, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +20,14 @@ from mpi4py import MPI
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
 from ringwear_par.files.folders import check_folder
-from ringwear_par.parallel import as_ours, on_first_rank, peak_memory, warn_of_threads
+from ringwear_par.parallel import on_first_rank, peak_memory, together, warn_of_threads
 from ringwear_par.results.hdf5 import reading
 from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
+from ringwear_par.studies.many import computed
 from ringwear_par.studies.results_file import DamagedError, arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
-from ringwear_par.studies.together import computed
-
-log = logging.getLogger(__name__)
 
 Source = Study | Path | str | Mapping[str, Any]
 
@@ -61,18 +58,6 @@ class _Work:
     comm: MPI.Intracomm
     #: ranks that share each case
     ranks_per_case: int
-
-    def goes_on(self) -> str:
-        """Return the words for a sweep that ends before all is there."""
-        count = f"{there(self.blocks)} of {len(self.blocks)}"
-        return f"{count} blocks are there, and the same command goes on"
-
-    def incomplete(self, error: RingwearError) -> RingwearError:
-        """Return the error of a sweep that ends too soon, the same on all ranks."""
-        if not isinstance(error, InputError):
-            error = ComputationError(f"{error}; {self.goes_on()}")
-        error.ranks = self.comm.size
-        return error
 
 
 def sweep(
@@ -110,8 +95,7 @@ def sweep(
     2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    work = _prepared(study, Path(folder), comm, ranks_per_case, retry_failed)
-    return _without_failures(work, _complete(work))
+    return _complete(_prepared(study, Path(folder), comm, ranks_per_case, retry_failed))
 
 
 def run_sweep(
@@ -127,9 +111,8 @@ def run_sweep(
     work = _prepared(study, folder, comm, ranks_per_case, retry_failed)
     if dry_run:
         print(_estimate(work))
-        return
-    print(summary := _complete(work))
-    _without_failures(work, summary)
+    else:
+        _complete(work, print)
 
 
 # -- before any work -------------------------------------------------------------------------------
@@ -182,66 +165,63 @@ def _has_failed(block: Block) -> bool:
 # -- work ------------------------------------------------------------------------------------------
 
 
-def _complete(work: _Work) -> Summary:
+def _complete(work: _Work, say: Callable[[Summary], None] | None = None) -> Summary:
     """Compute the blocks that are not there, and merge them. Collective on work.comm.
 
     Raises
     ------
-    InputError, ComputationError : a block cannot be read, the disk.
+    InputError, ComputationError : a block cannot be read, the disk; cases failed.
     """
-    comm, started, count = work.comm, time.perf_counter(), 0
+    computed, started, blocks = 0, time.perf_counter(), work.blocks
     try:
-        merged = on_first_rank(comm, lambda: is_merged(work.folder, work.blocks))
-        while not merged:
-            count += comm.allreduce(_compute(work))
-            merged = on_first_rank(comm, lambda: _merge(work))
-    except KeyboardInterrupt as signal:
-        raise KeyboardInterrupt(f"{str(signal) or 'Ctrl-C'}; {work.goes_on()}") from None
+        while not on_first_rank(work.comm, lambda: _merge(work)):
+            computed += _compute(work)
+    except InputError:
+        raise
+    except (KeyboardInterrupt, RingwearError) as end:
+        there_are = f"{there(blocks)} of {len(blocks)} blocks are there"
+        sentence = f"{str(end) or 'Ctrl-C'}; {there_are}, and the same command goes on"
+        if isinstance(end, KeyboardInterrupt):
+            raise KeyboardInterrupt(sentence) from None
+        raise _of_all_ranks(work, sentence) from end
     seconds = time.perf_counter() - started
-    return on_first_rank(comm, lambda: _summary(work, count, seconds))
-
-
-def _without_failures(work: _Work, summary: Summary) -> Summary:
-    """Return the summary of a sweep; ComputationError if cases failed."""
+    summary = on_first_rank(work.comm, lambda: _summary(work, computed, seconds))
+    if say is not None:
+        say(summary)
     if summary.failed:
         counts = f"{summary.failed} of {summary.total} cases failed"
-        error = ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
-        error.ranks = work.comm.size
-        raise error
+        raise _of_all_ranks(work, f"{counts}; {work.folder / TABLE} says why of each")
     return summary
 
 
-def _compute(work: _Work, most: float = np.inf) -> int:
-    """Compute free blocks, at most so many a team, until no rank finds any more.
+def _of_all_ranks(work: _Work, sentence: str) -> ComputationError:
+    """Return an error that all ranks raise."""
+    error = ComputationError(sentence)
+    error.ranks = work.comm.size
+    return error
 
-    Return how many cases, 0 on all ranks of a team but its first. Collective on work.comm.
+
+def _compute(work: _Work) -> int:
+    """Compute free blocks until all are there; return how many cases. Collective on work.comm.
+
+    Where the disk fails one team, the others go on.
     """
     comm, blocks, ranks = work.comm, work.blocks, work.ranks_per_case
     team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
     pairs: dict[Hashable, ContactPair] = {}
-    error: RingwearError | None = None
     computed, before, started = 0, there(blocks), time.perf_counter()
-    progress = Progress(len(blocks), before) if comm.rank == 0 else None
-    try:
-        with closing(free_blocks(blocks, share, shares)) as free:
-            while most > 0 and (block := on_first_rank(team, lambda: next(free, None))) is not None:
-                _compute_block(work.study, block, pairs, team)
-                computed, most = computed + len(block.numbers) * (team.rank == 0), most - 1
-                if progress is not None and progress.is_due():
-                    done, count = there(blocks), len(blocks)
-                    pace = (time.perf_counter() - started) / max(done - before, 1)
-                    left = duration((count - done) * pace)
-                    progress.show(done, "%d of %d blocks are there, %s left", done, count, left)
-    except RingwearError as failure:  # of the disk: others go on as long as they can
-        error = failure
-    finally:
-        team.Free()
-        if progress is not None:
-            progress.close()
-    errors = [failure for failure in comm.allgather(error) if failure is not None]
-    if errors:
-        raise work.incomplete(errors[0])
-    return computed
+    bar: Any = closing(Progress(len(blocks), before)) if comm.rank == 0 else nullcontext()
+    with together(comm), closing(free_blocks(blocks, share, shares)) as free, bar as progress:
+        while (block := on_first_rank(team, lambda: next(free, None))) is not None:
+            _compute_block(work.study, block, pairs, team)
+            computed += len(block.numbers) * (team.rank == 0)
+            if progress is not None and progress.is_due():
+                done, count = there(blocks), len(blocks)
+                pace = (time.perf_counter() - started) / max(done - before, 1)
+                left = duration((count - done) * pace)
+                progress.show(done, "%d of %d blocks are there, %s left", done, count, left)
+    team.Free()
+    return comm.allreduce(computed)
 
 
 def _compute_block(
@@ -267,36 +247,27 @@ def _compute_block(
 
 
 def _merge(work: _Work) -> bool:
-    """Merge all blocks, unless another process has; return whether there are results. On rank 0.
-
-    A damaged block is removed instead, to be computed anew.
-    """
+    """Merge all blocks, unless another process has; return whether there are results. On rank 0."""
     blocks, folder = work.blocks, work.folder / FOLDER
     try:
         lock = (folder / "merge.lock").open("w")
     except FileNotFoundError:  # another process has merged them
         return True
-    with lock:
+    with lock, suppress(DamagedError):  # which is computed anew
         with suppress(OSError):  # there are no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         if is_merged(work.folder, blocks):
             return True
-        if there(blocks) < len(blocks):  # another process has removed one
+        if there(blocks) < len(blocks):
             return False
-        try:
-            merge(work.study, blocks, work.folder, work.comm.size)
-        except DamagedError as error:
-            log.warning("%s; it is removed, and its cases are computed anew", error)
-            error.path.unlink()
-            return False
-        except (OSError, ComputationError) as error:
-            raise work.incomplete(as_ours(error)) from error
+        merge(work.study, blocks, work.folder, work.comm.size)
         if not any(map(_has_failed, blocks)):  # --retry-failed needs these
             done = folder.with_name(f".{FOLDER}")
             shutil.rmtree(done, ignore_errors=True)
             folder.rename(done)  # in one step, for processes that still look
             shutil.rmtree(done, ignore_errors=True)
-    return True
+        return True
+    return False
 
 
 # -- what is said ----------------------------------------------------------------------------------
@@ -326,13 +297,13 @@ def _estimate(work: _Work) -> str:
     """
     comm, blocks, started = work.comm, work.blocks, time.perf_counter()
     merged = on_first_rank(comm, lambda: is_merged(work.folder, blocks))
-    before = on_first_rank(comm, lambda: len(blocks) if merged else there(blocks))
+    free = comm.bcast([block for block in blocks if not (merged or block.path.exists())])
     cases, count = counted(len(work.study), "case"), counted(len(blocks), "block")
-    text = f"{cases} in {count}, {before} there already"
-    done = 0 if merged else comm.bcast(_compute(work, most=comm.rank < work.ranks_per_case))
-    if not done:
+    text = f"{cases} in {count}, {len(blocks) - len(free)} there already"
+    if not free:
         return text
-    seconds, left = time.perf_counter() - started, len(blocks) - before - 1
+    done, left = _compute(replace(work, blocks=free[:1])), len(free) - 1
+    seconds = time.perf_counter() - started
     others = duration(float(f"{seconds * -(-left * work.ranks_per_case // comm.size):.2g}"))
     return (
         f"{text}\none block of {done} cases took {duration(seconds)}; it stays in "

@@ -86,8 +86,7 @@ def mapped(column: NDArray[Any], function: Callable[[Any], Any]) -> list[Any]:
     values = column.tolist()
     if column.dtype != object:
         return list(map(function, values))
-    objects = {id(value): value for value in values}
-    known = {key: function(value) for key, value in objects.items()}
+    known = {key: function(value) for key, value in {id(v): v for v in values}.items()}
     return [known[id(value)] for value in values]
 
 
@@ -114,14 +113,9 @@ def split_key(name: str) -> tuple[str, int | str | None]:
     return (match[1], match[2]) if match else (name, None)
 
 
-def path_of(name: str) -> str:
-    """Return the case key of a varied one, which may be an entry of it."""
-    return split_key(name)[0]
-
-
 def own_key(name: str) -> Key:
     """Return the key of a varied one: of a layer's entry its own, else that of the whole."""
-    return key_of(name) or BY_PATH[path_of(name)]
+    return key_of(name) or BY_PATH[split_key(name)[0]]
 
 
 def without_units(name: str, value: Any) -> Any:
@@ -137,14 +131,14 @@ def name_fault(place: str, name: str, loc: str) -> Fault | None:
     key = key_of(name) or (None if path in LAYERS else BY_PATH.get(path))
     if key is None:
         reason = unknown_key(name if path in LAYERS else path)
-        return Fault(f"{place}: {reason}", loc, "unknown_key")
-    if name == "title":
+    elif name == "title":
         sentence = f"{place}: a title makes no other case; must be another key"
         return Fault(sentence, loc, "not_allowed")
-    if index in ("file", "trace") or (isinstance(index, int) and key.kind != "pair"):
-        sentence = f"{place}: {path} has no such entries; must be the key itself"
-        return Fault(sentence, loc, "unknown_key")
-    return None
+    elif index in ("file", "trace") or (isinstance(index, int) and key.kind != "pair"):
+        reason = f"{path} has no such entries; must be the key itself"
+    else:
+        return None
+    return Fault(f"{place}: {reason}", loc, "unknown_key")
 
 
 def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
@@ -154,8 +148,8 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     if index is None:
         return None if value is ... else value
     if isinstance(index, str):
-        entries = (entries_of(value) or {}) if path in LAYERS else value
-        return entries.get(index) if isinstance(entries, dict) else None
+        table = entries_of(value) if path in LAYERS else value
+        return table.get(index) if isinstance(table, dict) else None
     return value[index] if isinstance(value, list | tuple) and len(value) > index else None
 
 
@@ -168,9 +162,8 @@ def varied_keys(
         path, index = split_key(name)
         if isinstance(index, int):
             before = changed.get(path, base.get(path))
-            pair = list(before) if isinstance(before, list) and len(before) == 2 else [None, None]
-            pair[index] = value
-            changed[path] = pair
+            changed[path] = [*before] if isinstance(before, list) else [None, None]
+            changed[path][index : index + 1] = [value]
         else:
             changed[name] = value
     return override(base, changed)
@@ -206,31 +199,28 @@ class Variation:
     #: raw values, or both ends of a range in the case's units
     values: tuple[Any, ...]
     #: number of values of a range in a grid
-    count: int = 0
+    count: int
 
-    def grid(self) -> NDArray[Any]:
-        """Return the values of a grid."""
+    def column(self, shares: FloatArray | None = None) -> NDArray[Any]:
+        """Return the values of a grid, or those at shares (cases,) from 0 to 1 of range or list."""
         if self.spacing == "values":
-            return column_of(self.values)
-        space: Any = np.geomspace if self.spacing == "log" else np.linspace
-        return self._whole(space(*self.values, self.count))
-
-    def at(self, shares: FloatArray) -> NDArray[Any]:
-        """Return the values at shares from 0 to 1 of the range or the list, (cases,)."""
-        if self.spacing == "values":
-            return column_of(self.values)[(shares * len(self.values)).astype(int)]
+            values = column_of(self.values)
+            return values if shares is None else values[(shares * len(values)).astype(int)]
         low, high = self.values
-        log = self.spacing == "log"
-        return self._whole(low * (high / low) ** shares if log else low + (high - low) * shares)
+        if shares is None:
+            space: Any = np.geomspace if self.spacing == "log" else np.linspace
+            values = space(low, high, self.count)
+        elif self.spacing == "log":
+            values = low * (high / low) ** shares
+        else:
+            values = low + (high - low) * shares
+        key = key_of(self.name)
+        if key is not None and key.kind == "whole":
+            return column_of(np.rint(values).astype(int).tolist())
+        return values
 
-    def _whole(self, values: FloatArray) -> NDArray[Any]:
-        """Return whole numbers where only these will do."""
-        path, index = split_key(self.name)
-        whole = index is None and BY_PATH[path].kind == "whole"
-        return column_of(np.rint(values).astype(int).tolist()) if whole else values
 
-
-def read_variations(
+def _read_variations(
     name: str, vary: Mapping[str, Any], method: str, folder: Path, faults: list[str]
 ) -> list[Variation]:
     """Return the varied keys of a study, and add their faults."""
@@ -248,7 +238,7 @@ def read_variations(
             faults.append(fault)
             continue
         try:
-            variations.append(_variation(key, entry, method, folder))
+            variations.append(_variation(key, entry, method == "grid", folder))
         except RejectedError as reason:
             because = f" ({reason})" if str(reason) else ""
             sentence = f"{place} = {shortened(entry)}: {_RULE}{because}"
@@ -256,18 +246,18 @@ def read_variations(
     return variations
 
 
-def _variation(key: str, entry: Any, method: str, folder: Path) -> Variation:
+def _variation(key: str, entry: Any, in_grid: bool, folder: Path) -> Variation:
     """Return a varied key; RejectedError where its entry breaks the rule, perhaps with why."""
     table = dict(entry) if isinstance(entry, Mapping) else {}
     count = table.pop("count", None)
     spacing, values = table.popitem() if len(table) == 1 else ("", None)
     if spacing not in ("values", "linear", "log") or not isinstance(values, list) or not values:
         raise RejectedError
-    in_grid = method == "grid" and spacing != "values"
-    if not (is_whole(count) and 2 <= count <= MOST_CASES if in_grid else count is None):
+    counted = is_whole(count) and 2 <= count <= MOST_CASES
+    if not (counted if in_grid and spacing != "values" else count is None):
         raise RejectedError
     if spacing == "values":
-        return Variation(key, spacing, tuple(_in_full(key, folder, value) for value in values))
+        return Variation(key, spacing, tuple(_in_full(key, folder, value) for value in values), 0)
     ends = [without_units(key, value) for value in values]
     if len(ends) != 2 or not all(map(is_finite, ends)) or not ends[0] < ends[1]:
         raise RejectedError
@@ -296,31 +286,20 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> dict[str, Any]:
         for key in tables.keys() - {"case", "vary", "design"}
     ]
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
-    vary, design = tables.get("vary", {}), tables.get("design", {})
-    for key, table in (("vary", vary), ("design", design)):
-        if not isinstance(table, dict):
-            sentence = f"{name}: {key} = {shortened(table)}: must be a table, [{key}]"
+    vary, table = tables.get("vary", {}), tables.get("design", {})
+    for key, value in (("vary", vary), ("design", table)):
+        if not isinstance(value, dict):
+            sentence = f"{name}: {key} = {shortened(value)}: must be a table, [{key}]"
             raise InputError(*faults, Fault(sentence, key, "not_allowed"))
-    design = _read_design(name, design, faults)
-    variations = read_variations(name, vary, design["method"], folder, faults)
+    design = _read_design(name, table, faults)
+    variations = _read_variations(name, vary, design["method"], folder, faults)
     if faults:
         raise InputError(*faults)
     if design["method"] == "list":
         columns = _listed(folder, design["file"])
     else:
         columns = _drawn(name, variations, **design)
-    _refuse_columns(name, columns)
-    base.pop("output.boundary", None)  # of which sweeps store nothing
-    ranges = {v.name: (v.spacing, *v.values) for v in variations if v.spacing != "values"}
-    return {
-        "name": name, "text": text, "method": design["method"], "base": base, "columns": columns,
-        "ranges": ranges,
-    }  # fmt: skip
-
-
-def _refuse_columns(name: str, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse what a sweep does not store, or must store alike of all cases."""
-    for key, column in columns.items():
+    for key, column in columns.items():  # what sweeps do not store, or must store alike of all
         differ = key == "output.profiles" and len(set(map(str, column))) > 1
         if differ or key.startswith("stress."):
             sentence = f"{name}: {key}: must not vary; must be the same in all cases"
@@ -328,6 +307,12 @@ def _refuse_columns(name: str, columns: Mapping[str, NDArray[Any]]) -> None:
         if key == "output.boundary":
             sentence = f"{name}: {key}: must not vary; only ringwear run stores whole boundaries"
             raise InputError(Fault(sentence, key, "conflict"))
+    base.pop("output.boundary", None)
+    ranges = {v.name: (v.spacing, *v.values) for v in variations if v.spacing != "values"}
+    return {
+        "name": name, "text": text, "method": design["method"], "base": base, "columns": columns,
+        "ranges": ranges,
+    }  # fmt: skip
 
 
 def _read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:
@@ -352,15 +337,14 @@ def _drawn(
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of a grid, whose last key varies fastest, or of a sampled design."""
     if method == "grid":
-        values = [variation.grid() for variation in variations]
+        values = [variation.column() for variation in variations]
         sizes = [len(each) for each in values]
         if (total := math.prod(sizes)) > MOST_CASES:
             raise InputError(f"{name}: the grid has {total} cases; must be at most {MOST_CASES}")
         places = np.unravel_index(np.arange(total), sizes)
         return {v.name: of[at] for v, of, at in zip(variations, values, places, strict=True)}
-    shape = count, len(variations)
     if method == "random":
-        points = np.random.default_rng(seed).random(shape)
+        points = np.random.default_rng(seed).random((count, len(variations)))
     else:
         from scipy.stats import qmc  # slow to import
 
@@ -368,26 +352,26 @@ def _drawn(
         with warnings.catch_warnings():  # of numbers of points that are no powers of two
             warnings.simplefilter("ignore", UserWarning)
             points = sampler(len(variations), seed=seed).random(count)
-    return {v.name: v.at(shares) for v, shares in zip(variations, points.T, strict=True)}
+    return {v.name: v.column(shares) for v, shares in zip(variations, points.T, strict=True)}
 
 
 def _listed(folder: Path, file: str) -> dict[str, NDArray[Any]]:
     """Return the columns of a CSV file: a line of case keys, and one line for each case."""
     table = folder / file
-    lines = [line for line in csv.reader(read_text(table).splitlines()) if line]
-    names = [word.strip() for word in lines[0]] if lines else []
+    names, *lines = [line for line in csv.reader(read_text(table).splitlines()) if line] or [[]]
+    names = [word.strip() for word in names]
     faults: list[str] = [
         f"{table}: line {number}: has {len(line)} values; must have {len(names)}, as the first line"
-        for number, line in enumerate(lines[1:], start=2)
+        for number, line in enumerate(lines, start=2)
         if len(line) != len(names)
     ]
-    if len(lines) < 2 or len({*names}) < len(names):
+    if not lines or len({*names}) < len(names):
         faults.append(f"{table}: must be a line of case keys, each once, and then one line a case")
     faults += filter(None, (name_fault(f"{table}: column {legible(n)}", n, n) for n in names))
     if faults:
         raise InputError(*faults)
     columns = {}
-    for name, words in zip(names, zip(*lines[1:], strict=True), strict=True):
+    for name, words in zip(names, zip(*lines, strict=True), strict=True):
         try:
             columns[name] = np.array(words, dtype=float)
         except ValueError:  # anything that TOML knows, and texts

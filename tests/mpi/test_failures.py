@@ -135,7 +135,7 @@ def test_a_disk_that_fails_one_rank(comm, mpi_tmp_path, monkeypatch):
     study = {"case": str(PAPER), "vary": {key: {"values": [v]} for key, v in SMALL.items()}}
     study["vary"]["load.pressure"] = {"values": [50, 60, 70, 80, 90]}
     with monkeypatch.context() as patch:
-        patch.setattr("ringwear_par.studies.together.MOST", 1)
+        patch.setattr("ringwear_par.studies.many.MOST", 1)
         if comm.rank == comm.size - 1:
             patch.setattr("ringwear_par.studies.sweep.write_block", full)
         with pytest.raises(rw.ComputationError, match="No space left on device; 5 of 5 blocks"):

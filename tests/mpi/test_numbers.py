@@ -137,7 +137,7 @@ def rows_of(folder):
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Blocks of two cases, for all ranks to have some."""
-    monkeypatch.setattr("ringwear_par.studies.together.MOST", 2)
+    monkeypatch.setattr("ringwear_par.studies.many.MOST", 2)
 
 
 @pytest.mark.parametrize("scheme", ["adaptive", "implicit", "explicit"])

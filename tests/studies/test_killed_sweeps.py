@@ -16,7 +16,7 @@ from swept import assert_same_sweeps, table, write_study
 from waiting import Waiting
 
 import ringwear_par as rw
-from ringwear_par.studies import blocks, together
+from ringwear_par.studies import blocks, many
 
 pytestmark = pytest.mark.slow
 STUDY = """
@@ -29,10 +29,10 @@ SWEEP = """
 import json, os, signal, sys
 from pathlib import Path
 import ringwear_par as rw
-from ringwear_par.studies import together
+from ringwear_par.studies import many
 
 study, output, function, call = sys.argv[1:]
-together.MOST = 2
+many.MOST = 2
 left = [int(call)]
 
 def kill(frame, event, _):
@@ -63,7 +63,7 @@ def ended(process):
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch):
-    monkeypatch.setattr(together, "MOST", 2)
+    monkeypatch.setattr(many, "MOST", 2)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def swept(tmp_path_factory, comm):
 
 @pytest.mark.parametrize(
     ("function", "call", "computed"),
-    [("write_block", 2, 4), ("_compute_block", 1, 6), ("_append", 2, 0), ("merge", 1, 0)],
+    [("write_block", 2, 4), ("_compute_block", 1, 6), ("_columns", 2, 0), ("merge", 1, 0)],
 )
 def test_a_killed_sweep_goes_on(tmp_path, swept, comm, function, call, computed):
     """What is computed once more is at most the block that was at work."""

@@ -9,7 +9,7 @@ from parts import parse_case, run_case
 from swept import CASE
 
 import ringwear_par as rw
-from ringwear_par.studies import together
+from ringwear_par.studies import many
 from ringwear_par.studies.many import simulate_all
 
 ALONE = MPI.COMM_SELF
@@ -46,14 +46,14 @@ def test_a_law_that_raises_fails_its_case_only(case, comm):
 
 
 def test_an_assembly_that_raises_fails_its_group_only(case, comm, monkeypatch):
-    other, assemble = case.replace({"upper.r": [28.0, 32.0]}), together.assemble
+    other, assemble = case.replace({"upper.r": [28.0, 32.0]}), many.assemble
 
     def failing(case, comm):
         if case == other:
             raise MemoryError("no room")
         return assemble(case, comm)
 
-    monkeypatch.setattr(together, "assemble", failing)
+    monkeypatch.setattr(many, "assemble", failing)
     found = simulate_all([other, case, other], comm)
     assert [type(each) for each in found] == KINDS
     assert all("no room" in str(each.error) for each in found[::2])

@@ -98,7 +98,7 @@ def test_cases_are_those_of_their_keys(name):
     for n, (row, case, name_of) in enumerate(
         zip(rows(study), study.cases_of(every), ids(study), strict=True)
     ):
-        assert case == study.case(n) == make_case(study.keys(n), "")
+        assert case == study.case(n) == make_case(study.keys(study.row(n)), "")
         again = rw.read_case(CASES / f"{stem}.toml", dict(zip(keys, row, strict=True)))
         assert parse_case(study.case(n).text, "") == parse_case(again.text, "")
         vary = {key: {"values": [value]} for key, value in zip(keys, row, strict=True)}
@@ -146,7 +146,7 @@ def test_schemes_vary_and_each_has_the_keys_that_it_knows(write):
     study = read_study(write(text, adaptive))
     assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
     assert study.case(1).time.tolerance == 1e-5
-    assert "time.tolerance" not in study.keys(0)
+    assert "time.tolerance" not in study.keys(study.row(0))
 
 
 def test_ids_follow_content(write):

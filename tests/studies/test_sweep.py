@@ -11,7 +11,7 @@ from parts import Law, edge_elements, parse_case, threshold
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
 import ringwear_par as rw
-from ringwear_par.studies import blocks, study, sweep, together
+from ringwear_par.studies import blocks, many, study, sweep
 from ringwear_par.studies.ensemble import open_ensemble, read_ensemble
 
 #: three cases of one operator, and six of two
@@ -41,7 +41,7 @@ def known(tmp_path_factory, comm):
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Have four cases in a block."""
-    monkeypatch.setattr(together, "MOST", 4)
+    monkeypatch.setattr(many, "MOST", 4)
 
 
 def test_rows_are_what_their_own_keys_give(tmp_path, comm):
