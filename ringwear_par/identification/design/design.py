@@ -27,7 +27,7 @@ from ringwear_par.identification.design.information import (
     candidates,
     informations,
 )
-from ringwear_par.identification.fit_command import into_folder
+from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.key_panels import design_panels
