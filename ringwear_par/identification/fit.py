@@ -15,8 +15,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.series import BLOCKS, averaged
 from ringwear_par.identification.expectation import expectation
-from ringwear_par.identification.fit_folder import FILES
-from ringwear_par.identification.fit_result import FitResult, result_of
+from ringwear_par.identification.fit_result import FILES, FitResult, result_of
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.solution import solve

@@ -1,8 +1,7 @@
-"""The folder of a fit: its outcome, its draws and readings, its figures, each there once whole."""
+"""The files of a fit: its readings with the model, its draws, and its figures."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,87 +11,65 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files import folders
-from ringwear_par.identification.definition.problem import (
-    BASE,
-    MeasuredInput,
-    Problem,
-    body_of_wear,
-)
+from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.draws import Draws, write_draws
 from ringwear_par.identification.fitted_tests import FittedSeries, FittedTest, readings_of_draws
 from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
-from ringwear_par.pictures.style import STYLE, NotebookFigure, picture
+from ringwear_par.pictures.style import STYLE, NotebookFigure
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
-FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,
-         folders.SPECIMENS)  # fmt: skip
 #: most columns of series; inches of readings with their residuals, and of a legend above all
 _COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
 #: inches of the strip of single readings: height of a row, margin around them, least width
 _ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
-def save(
-    folder: Path,
-    outcome: Mapping[str, Any],
-    problem: Problem,
-    draws: Draws,
-    tests: Sequence[FittedTest],
-    likelihoods: Sequence[EmulatedLikelihood],
+def write_readings(
+    path: Path, problem: Problem, tests: Sequence[FittedTest], versions: Mapping[str, str]
 ) -> None:
-    """Write all files; fit.json, the outcome, which says that it is whole, the last. On one rank.
-
-    A picture that cannot be drawn is left out, with a warning.
-    """
-    figures: dict[str, Callable[[], Figure]] = {
-        folders.CURVES: lambda: figure_of_readings(tests, outcome["level"]),
-        folders.ESTIMATES: lambda: figure_of_keys(outcome, draws),
-        folders.SPECIMENS: lambda: figure_of_specimens(outcome),
-    }
-    contents = {n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()}
-    if not problem.scatters:
-        contents[folders.SPECIMENS] = lambda: None
-    with folders.new_files(folder, FILES, "fit"):
-        with atomic_hdf5(folder / folders.READINGS) as file:
-            file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
-                               **outcome["versions"]})  # fmt: skip
-            every = [(test, one) for test in tests for one in test.series]
-            for number, (test, one) in enumerate(every, start=1):
-                name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
-                bodies = [body_of_wear(key) for key in problem.settings.process]
-                _write_series(file.create_group(name), test, one, bodies)
-            inputs = [(test, entry) for test in tests for entry in test.experiment.inputs]
-            for number, (test, measured) in enumerate(inputs, start=1):
-                _write_input(file.create_group(f"inputs/{number}"), test, measured)
-        _write_draws(folder / folders.POSTERIOR, outcome["versions"], draws, tests, likelihoods)
-        last = {folders.FIT: lambda: folders.json_bytes(outcome)}
-        folders.write_contents(folder, {**contents, **last})
+    """Write results.h5: the series of all tests, and their measured inputs. On one rank."""
+    bodies = [body_of_wear(key) for key in problem.settings.process]
+    with atomic_hdf5(path) as file:
+        file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
+                           **versions})  # fmt: skip
+        every = [(test, one) for test in tests for one in test.series]
+        for number, (test, one) in enumerate(every, start=1):
+            name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
+            _write_series(file.create_group(name), test, one, bodies)
+        inputs = [(test.experiment, entry) for test in tests for entry in test.experiment.inputs]
+        for number, (experiment, measured) in enumerate(inputs, start=1):
+            group, unit = file.create_group(f"inputs/{number}"), measured.unit
+            group.attrs.update(experiment=experiment.name, key=measured.key, unit=unit)
+            time, curve = measured.series.x, measured.curve(experiment.case)
+            _put(group, [
+                ("time", time, "s", "time"),
+                ("data", measured.readings(experiment.case), unit,
+                 "reading, in the unit of the key"),
+                ("curve", curve(time), unit, "the case's value"),
+            ])  # fmt: skip
 
 
-def _write_draws(
+def write_posterior(
     path: Path,
-    versions: Mapping[str, str],
     draws: Draws,
     tests: Sequence[FittedTest],
     likelihoods: Sequence[EmulatedLikelihood],
+    versions: Mapping[str, str],
 ) -> None:
-    """Write draws.nc, with replicas of the readings of each draw and log likelihoods."""
-    random = np.random.default_rng(0)
-    parts = [
+    """Write draws.nc: draws, replicas of the readings by each, and log likelihoods. On one rank."""
+    random, every = np.random.default_rng(0), [one for test in tests for one in test.series]
+    logs, replicas = zip(*(
         readings_of_draws(likelihood, draws.tests[:, i], random)
         for i, likelihood in enumerate(likelihoods)
-    ]
-    logs, replicas = (np.hstack(columns) for columns in zip(*parts, strict=True))
-    every = [one for test in tests for one in test.series]
+    ), strict=True)  # fmt: skip
     readings = {
         "observed_data": np.concatenate([one.series.value for one in every]),
-        "posterior_predictive": replicas, "log_likelihood": logs,
+        "posterior_predictive": np.hstack(replicas), "log_likelihood": np.hstack(logs),
     }  # fmt: skip
-    places: dict[str, list[Any]] = {
+    places = {
         "test": [one.test for one in every for _ in one.series.x],
         "series": [one.series.name for one in every for _ in one.series.x],
         "at": [x for one in every for x in one.series.x.tolist()],
@@ -126,17 +103,6 @@ def _write_series(
         meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
         columns.append(("censored", one.censored, "1", meaning))
     _put(group, columns)
-
-
-def _write_input(group: h5py.Group, test: FittedTest, measured: MeasuredInput) -> None:
-    """Write the readings of a measured input, and the curve through them."""
-    case, time, unit = test.experiment.case, measured.series.x, measured.unit
-    group.attrs.update(experiment=test.experiment.name, key=measured.key, unit=unit)
-    _put(group, [
-        ("time", time, "s", "time"),
-        ("data", measured.readings(case), unit, "reading, in the unit of the key"),
-        ("curve", measured.curve(case)(time), unit, "the case's value"),
-    ])  # fmt: skip
 
 
 def _put(group: h5py.Group, columns: Sequence[tuple[str, FloatArray, str, str]]) -> None:

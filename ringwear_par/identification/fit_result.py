@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
+from ringwear_par.files import folders
 from ringwear_par.identification import doubts, fit_folder
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem, body_of_wear
@@ -24,9 +26,13 @@ from ringwear_par.identification.fitted_tests import (
 from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.summary import summary
+from ringwear_par.pictures.style import picture
 from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
+#: files of its folder
+FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,
+         folders.SPECIMENS)  # fmt: skip
 #: draws of each chain that are kept; of all, how many tell bands and nuisances
 _KEPT, _BANDS = 500, 500
 
@@ -69,9 +75,26 @@ class FitResult(Outcome):
         return dict(self.content)
 
     def save(self, path: str | Path) -> None:
-        """Write the files of its folder, see ``Outcome.save``."""
+        """Write the files of its folder, fit.json, which says that it is whole, the last.
+
+        A picture that cannot be drawn is left out, with a warning; see ``Outcome.save``.
+        """
+        folder, content, software = Path(path), self.content, self.content["versions"]
+        figures = {
+            folders.CURVES: self.plot,
+            folders.ESTIMATES: lambda: fit_folder.figure_of_keys(content, self.draws),
+            folders.SPECIMENS: lambda: fit_folder.figure_of_specimens(content),
+        }
+        contents = {n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()}
+        if not self.problem.scatters:
+            contents[folders.SPECIMENS] = lambda: None
         likelihoods = self.solution.posterior.likelihoods
-        fit_folder.save(Path(path), self.content, self.problem, self.draws, self.tests, likelihoods)
+        readings, posterior = folder / folders.READINGS, folder / folders.POSTERIOR
+        with folders.new_files(folder, FILES, "fit"):
+            fit_folder.write_readings(readings, self.problem, self.tests, software)
+            fit_folder.write_posterior(posterior, self.draws, self.tests, likelihoods, software)
+            last = {folders.FIT: lambda: folders.json_bytes(content)}
+            folders.write_contents(folder, {**contents, **last})
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
