@@ -189,7 +189,7 @@ def parser() -> argparse.ArgumentParser:
     a.path("--masses", metavar="M.csv", help="table of weighings, with record files")
     a = command(
         "fit", "fit parameters of the wear law to measurements, with confidence intervals",
-        "identification.fit_command:run_fit",
+        "identification.fit:run_fit",
         "ringwear fit fit.toml -o out/fit\n  ringwear fit fit.toml -o out/fit --dry-run",
         "solves")
     a.fit_file()

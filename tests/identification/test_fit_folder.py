@@ -9,7 +9,7 @@ import xarray
 from laboratory import TRUTH
 from parts import Draws, main, read_draws, toml_text
 
-from ringwear_par.identification.fit_command import run_fit
+from ringwear_par.identification.fit import run_fit
 
 K = "wear.lower.k"
 
@@ -98,7 +98,7 @@ def test_draws_are_read_as_they_were_written(specimens, tmp_path):
             np.testing.assert_array_equal(one[K, "specimen"], other[K, "specimen"])
         else:
             assert one == other, name
-    count, n = len(draws), specimens.n
+    count, n = len(draws), specimens.content["n_data"]
     with h5py.File(tmp_path / "draws.nc") as file:
         assert {*file} == {"posterior", "observed_data", "posterior_predictive", "log_likelihood"}
         assert file["posterior"][K].shape == (4, count // 4)
@@ -106,6 +106,7 @@ def test_draws_are_read_as_they_were_written(specimens, tmp_path):
         assert file["log_likelihood"]["reading"].shape == (4, count // 4, n)
         replicas = file["posterior_predictive"]["reading"][:].reshape(count, n)
         observed = file["observed_data"]["reading"][:]
-    np.testing.assert_array_equal(observed, np.concatenate([t.data for t in specimens.tests]))
+    read = [one.series.value for test in specimens.tests for one in test.series]
+    np.testing.assert_array_equal(observed, np.concatenate(read))
     off = (replicas - observed) / replicas.std(axis=0)
     assert np.abs(off.mean(axis=0)).max() < 2.5

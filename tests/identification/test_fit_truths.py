@@ -131,4 +131,4 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fits):
     assert 0.88 <= np.mean(inside) <= 0.99
     assert np.std(errors) == pytest.approx(1.0, abs=0.25)  # three times how well 72 tell it
     assert np.mean(errors) == pytest.approx(0.0, abs=0.35)
-    assert kstest([found.p_value for found in fits[0]], "uniform").pvalue > 0.01
+    assert kstest([found.content["p_value"] for found in fits[0]], "uniform").pvalue > 0.01

@@ -18,12 +18,15 @@ def test_replicas_are_about_as_far_off_as_the_readings(fitted):
     """And log p of the readings is about that of their residuals, and of bands that widen them."""
     emulated, x = fitted.solution.posterior.likelihoods[0], fitted.draws.tests[:, 0]
     logs, replicas = readings_of_draws(emulated, x, np.random.default_rng(0))
-    test = fitted.tests[0]
-    off = (replicas - test.model) / np.hypot(test.sd, test.band)
+    model, sd, band, residuals = (
+        np.concatenate([getattr(one, name) for one in fitted.tests[0].series])
+        for name in ("model", "sd", "band", "residuals")
+    )
+    off = (replicas - model) / np.hypot(sd, band)
     assert abs(off.mean()) < 0.02
     assert off.std() == pytest.approx(1.0, abs=0.03)
-    squares = test.residuals**2 + (test.band / test.sd) ** 2
-    expected = -0.5 * squares - np.log(test.sd) - 0.5 * np.log(2.0 * np.pi)
+    squares = residuals**2 + (band / sd) ** 2
+    expected = -0.5 * squares - np.log(sd) - 0.5 * np.log(2.0 * np.pi)
     assert logs.mean(axis=0) == pytest.approx(expected, abs=0.15)
 
 

@@ -27,7 +27,7 @@ from ringwear_par.identification.design.information import (
     candidates,
     informations,
 )
-from ringwear_par.identification.fit_command import into_folder
+from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.key_panels import design_panels
@@ -243,7 +243,7 @@ def _designs(
         told, together = information[some].sum(axis=0), [tests[i] for i in some]
         sd = [v if np.isfinite(v) else None for v in before.sd_of_values(told).tolist()]
         entries.append(
-            {"name": " + ".join(test.name(problem.design) for test in together) or "today",
+            {"name": " + ".join(test.experiment.name for test in together) or "today",
              "experiments": [dict(test.keys) for test in together],
              "seconds": sum(test.seconds for test in together),
              "gain": float(before.then(told)[0] / np.log(2.0)),
