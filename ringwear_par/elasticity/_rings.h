@@ -6,12 +6,13 @@
        R^2 = a^2 + b^2 + 4 r (r + a) s2,
        R . e_r(x) = a - 2 (r + a) s2,   R . e_r(y) = a + 2 r s2,
 
-   so that every entry is a sum of products of small numbers with the moments
+   so that every entry is a polynomial of s2 against the moments
 
        I(p, q) = Int_0^2pi  s^(2q) / R^p  dtheta,
 
-   and nothing cancels as y comes close to x. Offsets a and b are arguments, never differences of
-   rounded coordinates: the caller forms them from the element's local parameter.
+   a sum of products of small numbers, and nothing cancels as y comes close to x. Offsets a and b are
+   arguments, never differences of rounded coordinates: the caller forms them from the element's
+   local parameter.
 
    Lengths are in mm, Young's modulus is 1. All kernels carry the radius of dS = (r + a) dtheta ds:
    U has the unit 1/MPa, T 1, D 1/mm, and S MPa/mm^2 for displacements at E = 1.
@@ -38,51 +39,19 @@ enum {
     ROW = TILE + VECTOR, /* loops run on to whole vectors, over what comes next */
     MAX_POINTS = 16,     /* of a Gauss rule, as in quadrature.py */
     DEEPEST = 40,        /* most halvings of an element: what is closer touches it */
-    MOST_POINTS = 4096,  /* on all of its parts */
-    THETA = 10           /* points of the quadrature over the circle */
+    THETA = 10,          /* points of the quadrature over the circle */
+    PAIRS = 5,           /* of a component at the source and a direction on the element: forces and */
+    STRESS_PAIRS = 10    /* displacements of the boundary equation, or stresses */
 };
 
 typedef double Vector __attribute__((vector_size(8 * VECTOR), aligned(8), may_alias));
 
-/* Kernels come in pairs of a component at the source and a direction on the element: forces and
-   displacements of the boundary equation, or stresses. The first PAIRS multiply tractions (U, D),
-   the others displacements (T, S). Directions r, z and then theta, which uncouples. */
-enum { RR, ZR, RZ, ZZ, TT, PAIRS };
-enum { RR_R, TT_R, ZZ_R, RZ_R, RR_Z, TT_Z, ZZ_Z, RZ_Z, RT_T, TZ_T, STRESS_PAIRS };
-
-/* Field points with the radii of their sources, and kernels there */
+/* Field points with the radii of their sources, and kernels there: of each pair that which
+   multiplies tractions, U or D, then of each that which multiplies displacements, T or S */
 typedef struct {
     double r[ROW], a[ROW], b[ROW], nr[ROW], nz[ROW];
     double value[2 * STRESS_PAIRS][ROW];
 } Tile;
-
-/* A straight element: its first node, the vector to the last, length and outward normal */
-typedef struct {
-    double r, z, dr, dz, length, nr, nz;
-} Element;
-
-/* Sources one after another: radius, offset of the element's start (or of the source itself, where
-   the element holds it), and height z0 of the fields that are subtracted */
-typedef struct {
-    double r[ROW], a[ROW], b[ROW], z0[ROW];
-} Sources;
-
-/* Integrals over an element for each source: of each pair's second kernel times the three shape
-   functions and of its first kernel, and what they add to the sources' own columns */
-typedef struct {
-    double of[STRESS_PAIRS][4][ROW], own[STRESS_PAIRS][ROW];
-} Integrals;
-
-/* See quadrature.py: n points serve where distances of the ends over the length are reach[n] */
-typedef struct {
-    const double *reach, *points, *weights, *singular_points, *singular_weights;
-} Rules;
-
-/* Points on an element: how far along it from where the offsets are, and weights over its length */
-typedef struct {
-    int count;
-    double place[MOST_POINTS], weight[MOST_POINTS];
-} Points;
 
 /* ---- moments ---- */
 
@@ -146,32 +115,32 @@ INLINE void elliptic(double m1, double *k, double *e)
     *e = polynomial(E_REGULAR, 11, m1) - log * m1 * polynomial(E_SINGULAR, 10, m1);
 }
 
+/* Factors of 1, s2 ... s2^4 in a polynomial, or moments of these; times sin(theta) if odd */
 typedef struct {
-    double i10, i11, i30, i31, i32, i50, i51, i52, i53, i70, i71, i72, i73, i74;
-} Moments;
+    double c[5];
+    int odd;
+} Powers;
 
-INLINE Moments moments_by_recursion(double r, double a, double b)
+/* Set i[k] to the moments I(2k-1, 0) to I(2k-1, k). */
+INLINE void moments_by_recursion(double r, double a, double b, Powers i[5])
 {
     const double near2 = a * a + b * b, span2 = 4.0 * r * (r + a), far2 = near2 + span2;
     const double far = sqrt(far2), both = 1.0 / (near2 * far2), inverse = 1.0 / span2;
     double k, e;
     elliptic(near2 * near2 * both, &k, &e);
-    Moments i;
-    i.i10 = 4.0 * k * far * near2 * both;
-    i.i11 = (4.0 * far * e - near2 * i.i10) * inverse;
-    i.i30 = 4.0 * far * e * both;
-    i.i31 = (i.i10 - near2 * i.i30) * inverse;
-    i.i32 = (i.i11 - near2 * i.i31) * inverse;
-    i.i50 = (2.0 * (far2 + near2) * i.i30 - i.i10) * (both * (1.0 / 3.0));
-    i.i51 = (i.i30 - near2 * i.i50) * inverse;
-    i.i52 = (i.i31 - near2 * i.i51) * inverse;
-    i.i53 = (i.i32 - near2 * i.i52) * inverse;
-    i.i70 = (4.0 * (far2 + near2) * i.i50 - 3.0 * i.i30) * (both * 0.2);
-    i.i71 = (i.i50 - near2 * i.i70) * inverse;
-    i.i72 = (i.i51 - near2 * i.i71) * inverse;
-    i.i73 = (i.i52 - near2 * i.i72) * inverse;
-    i.i74 = (i.i53 - near2 * i.i73) * inverse;
-    return i;
+    memset(i, 0, 5 * sizeof *i);
+    i[0].c[0] = 4.0 * far * e;
+    i[1].c[0] = 4.0 * k * far * near2 * both;
+#pragma GCC unroll 3
+    for (int n = 2; n < 5; n++) {
+        const double p = 2 * n - 3, sum = (p - 1.0) * (far2 + near2) * i[n - 1].c[0];
+        i[n].c[0] = (sum - (p - 2.0) * i[n - 2].c[0]) * (both * (1.0 / p));
+    }
+#pragma GCC unroll 4
+    for (int n = 1; n < 5; n++)
+#pragma GCC unroll 4
+        for (int q = 1; q <= n; q++)
+            i[n].c[q] = (i[n - 1].c[q - 1] - near2 * i[n].c[q - 1]) * inverse;
 }
 
 /* sin((k + 1/2) pi / 20)^2 */
@@ -181,22 +150,137 @@ static const double SIN2[THETA] = {
     0.7269952498697734, 0.8535533905932737, 0.9455032620941839,
     0.9938441702975689};
 
-/* Near the axis or far from the source the moments hardly vary over the circle. */
-static Moments moments_by_quadrature(double r, double a, double b)
+/* The same near the axis or far from the source, where they hardly vary over the circle. */
+static void moments_by_quadrature(double r, double a, double b, Powers i[5])
 {
     const double near2 = a * a + b * b, span2 = 4.0 * r * (r + a);
-    double sums[14] = {0.0};
+    memset(i, 0, 5 * sizeof *i);
     for (int k = 0; k < THETA; k++) {
-        const double inv2 = 1.0 / (near2 + span2 * SIN2[k]);
-        double power = 2.0 * PI / THETA * sqrt(inv2), *sum = sums;
-        for (int p = 1; p <= 7; p += 2, power *= inv2) {
+        const double inverse = 1.0 / (near2 + span2 * SIN2[k]);
+        double power = 2.0 * PI / THETA * sqrt(inverse);
+        for (int n = 1; n < 5; n++, power *= inverse) {
             double term = power;
-            for (int q = 0; q <= (p + 1) / 2; q++, term *= SIN2[k]) *sum++ += term;
+            for (int q = 0; q <= n; q++, term *= SIN2[k]) i[n].c[q] += term;
         }
     }
-    Moments i;
-    memcpy(&i, sums, sizeof i);
-    return i;
+}
+
+/* ---- kernels ---- */
+
+INLINE Powers product(Powers p, Powers q)
+{
+    const double *u = p.c, *v = q.c;
+    const double c[5] = {
+        u[0] * v[0],
+        u[0] * v[1] + u[1] * v[0],
+        u[0] * v[2] + u[1] * v[1] + u[2] * v[0],
+        u[0] * v[3] + u[1] * v[2] + u[2] * v[1] + u[3] * v[0],
+        u[0] * v[4] + u[1] * v[3] + u[2] * v[2] + u[3] * v[1] + u[4] * v[0],
+    };
+    if (p.odd && q.odd) /* sin^2 = 4 (s2 - s2^2) */
+        return (Powers){{0.0, 4.0 * c[0], 4.0 * (c[1] - c[0]), 4.0 * (c[2] - c[1]),
+                         4.0 * (c[3] - c[2])}, 0};
+    return (Powers){{c[0], c[1], c[2], c[3], c[4]}, p.odd || q.odd};
+}
+
+/* Return the moments of a polynomial times 1, s2 ... */
+INLINE Powers weighted(Powers p, Powers moments)
+{
+    const double *c = p.c, *m = moments.c;
+    return (Powers){{
+        c[0] * m[0] + c[1] * m[1] + c[2] * m[2] + c[3] * m[3] + c[4] * m[4],
+        c[0] * m[1] + c[1] * m[2] + c[2] * m[3] + c[3] * m[4],
+        c[0] * m[2] + c[1] * m[3] + c[2] * m[4],
+        c[0] * m[3] + c[1] * m[4],
+        c[0] * m[4],
+    }, p.odd};
+}
+
+INLINE double integral(Powers p, Powers moments)
+{
+    const Powers turning = {{1.0}, moments.odd};
+    return weighted(product(p, turning), moments).c[0];
+}
+
+/* Components along r, theta and z of the source */
+enum { R, T, Z };
+
+/* What kernels are made of: R, n and the directions e of r, theta and z on the element by
+   components at the source, R . n, R . e and n . e; and the moments */
+typedef struct {
+    Powers away[3], normal[3], e[3][3], rn, re[3], i[5];
+    double ne[3], ring, nu;
+} Point;
+
+INLINE Point point_of(double r, double a, double b, double nr, double nz, double nu)
+{
+    const double r1 = r + a;
+    const Powers zero = {{0.0}}, one = {{1.0}}, cosine = {{1.0, -2.0}}, sine = {{1.0}, 1};
+    return (Point){
+        .away = {{{a, -2.0 * r1}}, {{r1}, 1}, {{b}}},
+        .normal = {{{nr, -2.0 * nr}}, {{nr}, 1}, {{nz}}},
+        .e = {{cosine, sine, zero}, {{{-1.0}, 1}, cosine, zero}, {zero, zero, one}},
+        .rn = {{nr * a + nz * b, 2.0 * r * nr}},
+        .re = {{{a, 2.0 * r}}, {{r}, 1}, {{b}}},
+        .ne = {nr, 0.0, nz},
+        .ring = r1 / (8.0 * PI * (1.0 - nu)),
+        .nu = nu,
+    };
+}
+
+/* Set U and T of component i at the source and direction k on the element. */
+INLINE void boundary_kernel(const Point *x, int i, int k, double *u, double *t)
+{
+    const double nu = x->nu, w2 = 1.0 - 2.0 * nu;
+    const Powers e = x->e[k][i], away = x->away[i], along = product(away, x->re[k]);
+    const Powers n3 = weighted(x->rn, x->i[2]), n5 = weighted(x->rn, x->i[3]);
+    const double bend = x->ne[k] * integral(away, x->i[2])
+                        - integral(x->normal[i], weighted(x->re[k], x->i[2]));
+    *u = x->ring * (1.0 + nu)
+         * ((3.0 - 4.0 * nu) * integral(e, x->i[1]) + integral(along, x->i[2]));
+    *t = x->ring * (w2 * (bend - integral(e, n3)) - 3.0 * integral(along, n5));
+}
+
+/* Return the symmetric part, twice, of the product of two vectors. */
+INLINE Powers both(const Powers *u, const Powers *v, int i, int j)
+{
+    const Powers p = product(u[i], v[j]), q = product(u[j], v[i]);
+    return (Powers){{p.c[0] + q.c[0], p.c[1] + q.c[1], p.c[2] + q.c[2], p.c[3] + q.c[3],
+                     p.c[4] + q.c[4]}, p.odd};
+}
+
+/* Set D and S of component ij of stress at the source, sigma = Int D t - S u dS, and direction k. */
+INLINE void stress_kernel(const Point *x, int i, int j, int k, double *d, double *s)
+{
+    const double nu = x->nu, w2 = 1.0 - 2.0 * nu, ne = x->ne[k], same = i == j;
+    const Powers re = x->re[k], square = product(x->away[i], x->away[j]);
+    const Powers shear = both(x->e[k], x->away, i, j), slant = both(x->normal, x->away, i, j);
+    const Powers n5 = weighted(x->rn, x->i[3]), n7 = weighted(x->rn, x->i[4]);
+    const Powers re5 = weighted(re, x->i[3]);
+    *d = x->ring * (w2 * (integral(shear, x->i[2]) - same * integral(re, x->i[2]))
+                    + 3.0 * integral(square, re5));
+    *s = x->ring / (1.0 + nu)
+         * (3.0 * nu * (integral(shear, n5) + integral(slant, re5))
+            + 3.0 * w2 * (same * integral(re, n5) + ne * integral(square, x->i[3]))
+            - 15.0 * integral(square, weighted(re, n7))
+            + w2 * integral(both(x->normal, x->e[k], i, j), x->i[2])
+            - same * (1.0 - 4.0 * nu) * ne * x->i[2].c[0]);
+}
+
+/* Set the kernels of pairs at a point of a tile. */
+INLINE void set_kernels(Tile *tile, int pairs, int at, const Point *x)
+{
+    double(*first)[ROW] = tile->value, (*second)[ROW] = tile->value + pairs;
+#define BOUNDARY(pair, i, k) boundary_kernel(x, i, k, &first[pair][at], &second[pair][at])
+#define STRESS(pair, i, j, k) stress_kernel(x, i, j, k, &first[pair][at], &second[pair][at])
+    if (pairs == PAIRS) {
+        BOUNDARY(0, R, R), BOUNDARY(1, Z, R), BOUNDARY(2, R, Z), BOUNDARY(3, Z, Z);
+        BOUNDARY(4, T, T);
+    } else {
+        STRESS(0, R, R, R), STRESS(1, T, T, R), STRESS(2, Z, Z, R), STRESS(3, R, Z, R);
+        STRESS(4, R, R, Z), STRESS(5, T, T, Z), STRESS(6, Z, Z, Z), STRESS(7, R, Z, Z);
+        STRESS(8, R, T, T), STRESS(9, T, Z, T);
+    }
 }
 
 /* Recursions divide by m = 4 r r1 / S^2 once for each power of s2: below this they are not used. */
@@ -206,234 +290,120 @@ INLINE int is_small(double r, double a, double b)
     return span2 < 0.3 * (a * a + b * b + span2);
 }
 
-INLINE Moments moments_of(double r, double a, double b)
+INLINE void fill(Tile *tile, int pairs, int count, double nu)
 {
-    return is_small(r, a, b) ? moments_by_quadrature(r, a, b) : moments_by_recursion(r, a, b);
-}
-
-/* ---- kernels ---- */
-
-INLINE void ring_kernels_of(Moments i, double r, double a, double b, double nr, double nz,
-                            double nu, double *out)
-{
-    const double r1 = r + a, x1 = 2.0 * r1, y1 = 2.0 * r;
-    /* R.e_r(x) = a - x1 s2,  R.e_r(y) = a + y1 s2,  R.n = n0 + n1 s2,  n.e_r(x) = nr - 2 nr s2 */
-    const double n0 = nr * a + nz * b, n1 = nr * y1;
-    /* product of the two projections: a^2 + q1 s2 + q2 s2^2 */
-    const double q1 = a * (y1 - x1), q2 = -x1 * y1;
-
-    const double shear = 0.5 / (1.0 + nu), cu = r1 / (16.0 * PI * shear * (1.0 - nu));
-    const double k1 = 3.0 - 4.0 * nu, cosine = i.i10 - 2.0 * i.i11;
-    const double at_x = a * i.i30 - x1 * i.i31, at_y = a * i.i30 + y1 * i.i31;
-    out[RR * ROW] = cu * (k1 * cosine + a * a * i.i30 + q1 * i.i31 + q2 * i.i32);
-    out[RZ * ROW] = cu * b * at_x;
-    out[ZR * ROW] = cu * b * at_y;
-    out[ZZ * ROW] = cu * (k1 * i.i10 + b * b * i.i30);
-    out[TT * ROW] = r1 / (4.0 * PI * shear) * cosine;
-
-    const double ct = -r1 / (8.0 * PI * (1.0 - nu)), k2 = 1.0 - 2.0 * nu, b3 = 3.0 * b;
-    /* Int R.n s2^q / R^3 and / R^5 */
-    const double m0 = n0 * i.i30 + n1 * i.i31, m1 = n0 * i.i31 + n1 * i.i32, along = m0 - 2.0 * m1;
-    const double g0 = n0 * i.i50 + n1 * i.i51, g1 = n0 * i.i51 + n1 * i.i52;
-    const double g2 = n0 * i.i52 + n1 * i.i53;
-    /* antisymmetric for rr: R.e_r(y) n.e_r(x) - R.e_r(x) n.e_r(y) = 2 y1 nr (s2 - s2^2) */
-    out[(PAIRS + RR) * ROW] = ct * (k2 * (along + 2.0 * y1 * nr * (i.i31 - i.i32))
-                            + 3.0 * (a * a * g0 + q1 * g1 + q2 * g2));
-    out[(PAIRS + RZ) * ROW] = ct * (b3 * (a * g0 - x1 * g1)
-                            + k2 * (b * nr * (i.i30 - 2.0 * i.i31) - nz * at_x));
-    out[(PAIRS + ZR) * ROW] = ct * (b3 * (a * g0 + y1 * g1) + k2 * (nz * at_y - b * nr * i.i30));
-    out[(PAIRS + ZZ) * ROW] = ct * (k2 * m0 + b3 * b * g0);
-    out[(PAIRS + TT) * ROW] = (r1 * along + nr * cosine) * (-0.25 / PI);
-}
-
-/* sigma(x) = Int D t - S u dS; in the frame of x the components of R are X = a - 2 r1 s2,
-   Y = r1 sin(theta) and b */
-INLINE void stress_kernels_of(Moments i, double r, double a, double b, double nr, double nz,
-                              double nu, double *out)
-{
-    const double r1 = r + a, x1 = 2.0 * r1, y1 = 2.0 * r, a2 = a * a, b2 = b * b;
-    /* X = a - x1 s2,  P = R.e_r(y) = a + y1 s2,  N = R.n = n0 + n1 s2,  cos = 1 - 2 s2 */
-    const double n0 = nr * a + nz * b, n1 = nr * y1;
-    /* X P = a2 + q1 s2 + q2 s2^2,  X X,  X cos,  X X P */
-    const double q1 = a * (y1 - x1), q2 = -x1 * y1, h1 = -2.0 * a * x1, h2 = x1 * x1;
-    const double c1 = -(x1 + 2.0 * a), c2 = 2.0 * x1;
-    const double e0 = a2 * a, e1 = a * q1 - x1 * a2, e2 = a * q2 - x1 * q1, e3 = -x1 * q2;
-    /* sin^2 = 4 (s2 - s2^2) against the moments */
-    const double sj = 4.0 * (i.i31 - i.i32);
-    const double sk0 = 4.0 * (i.i51 - i.i52), sk1 = 4.0 * (i.i52 - i.i53);
-    const double w1 = 1.0 - 2.0 * nu, w4 = 1.0 - 4.0 * nu;
-
-    /* of the third powers */
-    const double p3 = a * i.i30 + y1 * i.i31, x3 = a * i.i30 - x1 * i.i31;
-    const double cos3 = i.i30 - 2.0 * i.i31, cosx3 = a * i.i30 + c1 * i.i31 + c2 * i.i32;
-    const double coscos3 = i.i30 - 4.0 * i.i31 + 4.0 * i.i32;
-    /* of the fifth powers */
-    const double p5 = a * i.i50 + y1 * i.i51, x5 = a * i.i50 - x1 * i.i51;
-    const double cos5 = i.i50 - 2.0 * i.i51;
-    const double xp5 = a2 * i.i50 + q1 * i.i51 + q2 * i.i52;
-    const double xx5 = a2 * i.i50 + h1 * i.i51 + h2 * i.i52;
-    const double cosx5 = a * i.i50 + c1 * i.i51 + c2 * i.i52;
-    const double cosp5 = a * cos5 + y1 * (i.i51 - 2.0 * i.i52);
-    const double cosxp5 = a2 * cos5 + q1 * (i.i51 - 2.0 * i.i52) + q2 * (i.i52 - 2.0 * i.i53);
-    const double sinp5 = a * sk0 + y1 * sk1, sinx5 = a * sk0 - x1 * sk1;
-    const double nk0 = n0 * i.i50 + n1 * i.i51, nk1 = n0 * i.i51 + n1 * i.i52;
-    const double nk2 = n0 * i.i52 + n1 * i.i53;
-    const double np5 = a * nk0 + y1 * nk1, nx5 = a * nk0 - x1 * nk1, ncos5 = nk0 - 2.0 * nk1;
-    const double ncosx5 = a * nk0 + c1 * nk1 + c2 * nk2, nsin5 = 4.0 * (nk1 - nk2);
-    /* of the seventh powers */
-    const double nl0 = n0 * i.i70 + n1 * i.i71, nl1 = n0 * i.i71 + n1 * i.i72;
-    const double nl2 = n0 * i.i72 + n1 * i.i73, nl3 = n0 * i.i73 + n1 * i.i74;
-    const double nsl0 = 4.0 * (nl1 - nl2), nsl1 = 4.0 * (nl2 - nl3);
-
-    const double cd = r1 / (8.0 * PI * (1.0 - nu));
-    out[RR_R * ROW] = cd * (w1 * (2.0 * cosx3 - p3)
-                              + 3.0 * (e0 * i.i50 + e1 * i.i51 + e2 * i.i52 + e3 * i.i53));
-    out[TT_R * ROW] = cd * (w1 * (2.0 * r1 * sj - p3) + 3.0 * r1 * r1 * sinp5);
-    out[ZZ_R * ROW] = cd * (3.0 * b2 * p5 - w1 * p3);
-    out[RZ_R * ROW] = cd * b * (w1 * cos3 + 3.0 * xp5);
-    out[RR_Z * ROW] = cd * b * (3.0 * xx5 - w1 * i.i30);
-    out[TT_Z * ROW] = cd * b * (3.0 * r1 * r1 * sk0 - w1 * i.i30);
-    out[ZZ_Z * ROW] = cd * b * (3.0 * b2 * i.i50 + w1 * i.i30);
-    out[RZ_Z * ROW] = cd * (w1 * x3 + 3.0 * b2 * x5);
-    out[RT_T * ROW] = cd * (w1 * (cosx3 - r1 * sj) + 3.0 * r * r1 * sinx5);
-    out[TZ_T * ROW] = cd * b * (w1 * cos3 + 3.0 * r * r1 * sk0);
-
-    const double cs = r1 / (8.0 * PI * (1.0 - nu * nu));
-    const double common_r = 3.0 * w1 * np5 - w4 * nr * i.i30;
-    out[(STRESS_PAIRS + RR_R) * ROW] = cs * (common_r + 6.0 * nu * (ncosx5 + nr * cosxp5)
-                              - 15.0 * (e0 * nl0 + e1 * nl1 + e2 * nl2 + e3 * nl3)
-                              + w1 * nr * (3.0 * xx5 + 2.0 * coscos3));
-    out[(STRESS_PAIRS + TT_R) * ROW] = cs * (common_r + 6.0 * nu * r1 * (nsin5 + nr * sinp5)
-                              - 15.0 * r1 * r1 * (a * nsl0 + y1 * nsl1)
-                              + w1 * nr * (3.0 * r1 * r1 * sk0 + 2.0 * sj));
-    out[(STRESS_PAIRS + ZZ_R) * ROW] = cs * (common_r - 15.0 * b2 * (a * nl0 + y1 * nl1)
-                              + 6.0 * nu * nz * b * p5 + 3.0 * w1 * nr * b2 * i.i50);
-    out[(STRESS_PAIRS + RZ_R) * ROW] = cs * (3.0 * nu * (b * (ncos5 + nr * cosp5) + nz * xp5)
-                              - 15.0 * b * (a2 * nl0 + q1 * nl1 + q2 * nl2)
-                              + w1 * (3.0 * nr * b * x5 + nz * cos3));
-    const double common_z = 3.0 * w1 * b * nk0 - w4 * nz * i.i30;
-    out[(STRESS_PAIRS + RR_Z) * ROW] = cs * (common_z - 15.0 * b * (a2 * nl0 + h1 * nl1 + h2 * nl2)
-                              + 6.0 * nu * nr * b * cosx5 + 3.0 * w1 * nz * xx5);
-    out[(STRESS_PAIRS + TT_Z) * ROW] = cs * (common_z - 15.0 * b * r1 * r1 * nsl0
-                              + 6.0 * nu * nr * b * r1 * sk0 + 3.0 * w1 * nz * r1 * r1 * sk0);
-    out[(STRESS_PAIRS + ZZ_Z) * ROW] = cs * (common_z + 6.0 * nu * b * (nk0 + nz * b * i.i50)
-                              - 15.0 * b2 * b * nl0 + w1 * nz * (3.0 * b2 * i.i50 + 2.0 * i.i30));
-    out[(STRESS_PAIRS + RZ_Z) * ROW] = cs * (3.0 * nu * (nx5 + b * (nr * b * cos5 + nz * x5))
-                              - 15.0 * b2 * (a * nl0 - x1 * nl1)
-                              + w1 * (3.0 * nz * b * x5 + nr * cos3));
-    out[(STRESS_PAIRS + RT_T) * ROW] = cs * (3.0 * nu * (ncosx5 - r1 * nsin5
-                                          + nr * r * (r1 * (sk0 - 2.0 * sk1) + sinx5))
-                              - 15.0 * r * r1 * (a * nsl0 - x1 * nsl1)
-                              + w1 * nr * (coscos3 - sj));
-    out[(STRESS_PAIRS + TZ_T) * ROW] = cs * (3.0 * nu * (b * ncos5 + r * (nr * b + nz * r1) * sk0)
-                              - 15.0 * b * r * r1 * nsl0 + w1 * nz * cos3);
-}
-
-typedef void Kernels(Moments, double, double, double, double, double, double, double *);
-
-INLINE void fill(Tile *tile, int count, double nu, Kernels kernels)
-{
+    const double *r = tile->r, *a = tile->a, *b = tile->b, *nr = tile->nr, *nz = tile->nz;
     int small = 0;
-    count += -count & (VECTOR - 1);
 #pragma GCC ivdep
     for (int i = 0; i < count; i++) {
-        const double r = tile->r[i], a = tile->a[i], b = tile->b[i];
-        kernels(moments_by_recursion(r, a, b), r, a, b, tile->nr[i], tile->nz[i], nu,
-                tile->value[0] + i);
+        Point x = point_of(r[i], a[i], b[i], nr[i], nz[i], nu);
+        moments_by_recursion(r[i], a[i], b[i], x.i);
+        set_kernels(tile, pairs, i, &x);
     }
-    for (int i = 0; i < count; i++) small += is_small(tile->r[i], tile->a[i], tile->b[i]);
+    for (int i = 0; i < count; i++) small += is_small(r[i], a[i], b[i]);
     for (int i = 0; small && i < count; i++) {
-        const double r = tile->r[i], a = tile->a[i], b = tile->b[i];
-        if (is_small(r, a, b))
-            kernels(moments_by_quadrature(r, a, b), r, a, b, tile->nr[i], tile->nz[i], nu,
-                    tile->value[0] + i);
+        if (!is_small(r[i], a[i], b[i])) continue;
+        Point x = point_of(r[i], a[i], b[i], nr[i], nz[i], nu);
+        moments_by_quadrature(r[i], a[i], b[i], x.i);
+        set_kernels(tile, pairs, i, &x);
     }
 }
 
 /* Set the kernels of PAIRS, or STRESS_PAIRS, at the first points of a tile. */
 VERSIONS static void fill_kernels(Tile *tile, int pairs, int count, double nu)
 {
+    count += -count & (VECTOR - 1);
     if (pairs == PAIRS)
-        fill(tile, count, nu, ring_kernels_of);
+        fill(tile, PAIRS, count, nu);
     else
-        fill(tile, count, nu, stress_kernels_of);
+        fill(tile, STRESS_PAIRS, count, nu);
 }
 
-/* ---- integrals over an element ---- */
+/* ---- integrals over elements ---- */
 
-/* Set what integrals add to the sources' own columns: shape functions sum to one, and to radius or
-   height when weighted with that of their nodes, so that the integral over a field u*, t* needs no
-   kernels of its own. The fields are uniform along z; turn; or are u* = (r1 e_r - lateral
-   (z1 - z0) e_z) / r, which has no axial stress, and stresses that stay finite as Poisson's ratio
-   goes to 1/2; its traction, along r, is star over r. */
-INLINE void set_own(Integrals *sums, const Element *e, int pairs, int count, const double *z0,
-                    double nu)
+/* A straight element: its first node, the vector to the last, length and outward normal */
+typedef struct {
+    double r, z, dr, dz, length, nr, nz;
+} Element;
+
+/* See quadrature.py: n points serve where distances of the ends over the length are reach[n] */
+typedef struct {
+    const double *reach, *points, *weights, *singular_points, *singular_weights;
+} Rules;
+
+/* What is integrated for which sources and added where, see integrate_rows in _rings.pyx */
+typedef struct {
+    int64_t count;
+    int pairs, components; /* at the source, of directions r and z */
+    double nu;
+    const double *sources;
+    const int64_t *nodes, *rows;
+    double *matrix, *own;
+    Rules rules;
+    /* the element; nodes, columns and factors there */
+    Element e;
+    const int64_t *local, *columns;
+    const double *factors;
+    /* sources side by side: radii, offsets of the element's start (or of the source itself, where
+       the element holds it) and heights of the fields that are subtracted */
+    double r[ROW], a[ROW], b[ROW], z0[ROW];
+    Tile tile;
+    /* integrals: of each pair's second kernel times the three shape functions and of its first
+       kernel; of how many parts of the element */
+    double of[STRESS_PAIRS][4][ROW];
+    int parts;
+} Work;
+
+/* Put sources side by side, the last repeated to fill a vector, with nothing integrated. */
+static void set_sources(Work *w, const int64_t *sources, int count, int at)
 {
-    const double lateral = 2.0 * nu / (1.0 - nu), star = e->nr / (1.0 - nu);
-    const double r[3] = {e->r, e->r + 0.5 * e->dr, e->r + e->dr};
-    const double z[3] = {e->z, e->z + 0.5 * e->dz, e->z + e->dz};
-    const int components = 2 * pairs / PAIRS; /* at the source, of directions r and z */
-    for (int k = 0; k < components; k++) {
-        double(*radial)[ROW] = sums->of[k], (*axial)[ROW] = sums->of[components + k];
-#pragma GCC ivdep
-        for (int i = 0; i < count; i++) {
-            const double a0 = axial[0][i], a1 = axial[1][i], a2 = axial[2][i];
-            sums->own[k][i] =
-                star * radial[3][i]
-                - (r[0] * radial[0][i] + r[1] * radial[1][i] + r[2] * radial[2][i])
-                + lateral * ((z[0] - z0[i]) * a0 + (z[1] - z0[i]) * a1 + (z[2] - z0[i]) * a2);
-            sums->own[components + k][i] = -(a0 + a1 + a2);
-        }
+    for (int i = 0; i < count + VECTOR; i++) {
+        const double *source = w->sources + 3 * sources[i < count ? i : count - 1];
+        w->r[i] = source[0];
+        w->a[i] = at < 0 ? w->e.r - source[0] : 0.0;
+        w->b[i] = at < 0 ? w->e.z - source[1] : 0.0;
+        w->z0[i] = source[2];
     }
-    for (int k = 2 * components; k < pairs; k++) {
-        double(*turning)[ROW] = sums->of[k];
-#pragma GCC ivdep
-        for (int i = 0; i < count; i++)
-            sums->own[k][i] = -(r[0] * turning[0][i] + r[1] * turning[1][i] + r[2] * turning[2][i]);
-    }
+    w->parts = 0;
 }
 
-/* Set, or add to, the integrals over an element for sources, by n points with places and weights.
-   Where a source is its node `at`, elsewhere -1, places are from there, and that node's shape
-   function is left out. */
-VERSIONS static void integrate(Tile *tile, Integrals *sums, const Element *e, int pairs,
-                               const Sources *sources, int count, int at, int n,
-                               const double *place, const double *weight, int add, double nu)
+/* Add the integrals over a part of the element for `count` sources, by n points with places, from
+   where the offsets are, and weights over its length. Where a source is its node `at`, elsewhere -1,
+   that node's shape function is left out. */
+VERSIONS static void integrate(Work *w, int count, int at, int n, const double *place,
+                               const double *weight)
 {
     const double origin = at < 0 ? 0.0 : 0.5 * at;
-    double w[TILE], s[TILE][3];
+    double g[TILE], h[TILE][3];
     for (int q = 0; q < n; q++) {
-        double *tr = tile->r + q * count, *ta = tile->a + q * count, *tb = tile->b + q * count;
+        double *r = w->tile.r + q * count, *a = w->tile.a + q * count, *b = w->tile.b + q * count;
         for (int i = 0; i < count; i += VECTOR) {
-            *(Vector *)(tr + i) = *(const Vector *)(sources->r + i);
-            *(Vector *)(ta + i) = *(const Vector *)(sources->a + i) + place[q] * e->dr;
-            *(Vector *)(tb + i) = *(const Vector *)(sources->b + i) + place[q] * e->dz;
+            *(Vector *)(r + i) = *(const Vector *)(w->r + i);
+            *(Vector *)(a + i) = *(const Vector *)(w->a + i) + place[q] * w->e.dr;
+            *(Vector *)(b + i) = *(const Vector *)(w->b + i) + place[q] * w->e.dz;
         }
         const double t = origin + place[q];
-        w[q] = e->length * weight[q];
-        s[q][0] = w[q] * (1.0 - t) * (1.0 - 2.0 * t);
-        s[q][1] = w[q] * 4.0 * t * (1.0 - t);
-        s[q][2] = w[q] * t * (2.0 * t - 1.0);
-        if (at >= 0) s[q][at] = 0.0;
+        g[q] = w->e.length * weight[q];
+        h[q][0] = g[q] * (1.0 - t) * (1.0 - 2.0 * t);
+        h[q][1] = g[q] * 4.0 * t * (1.0 - t);
+        h[q][2] = g[q] * t * (2.0 * t - 1.0);
+        if (at >= 0) h[q][at] = 0.0;
     }
-    fill_kernels(tile, pairs, n * count, nu);
-    for (int pair = 0; pair < pairs; pair++)
+    fill_kernels(&w->tile, w->pairs, n * count, w->nu);
+    for (int pair = 0; pair < w->pairs; pair++)
         for (int i = 0; i < count; i += VECTOR) {
-            Vector *h0 = (Vector *)(sums->of[pair][0] + i), *h1 = (Vector *)(sums->of[pair][1] + i);
-            Vector *h2 = (Vector *)(sums->of[pair][2] + i), *g = (Vector *)(sums->of[pair][3] + i);
-            Vector x0 = {0.0}, x1 = x0, x2 = x0, x3 = x0;
-            if (add) x0 = *h0, x1 = *h1, x2 = *h2, x3 = *g;
+            double(*of)[ROW] = w->of[pair];
+            Vector x[4] = {{0.0}};
+            for (int k = 0; k < 4 && w->parts; k++) x[k] = *(const Vector *)(of[k] + i);
             for (int q = 0; q < n; q++) {
-                const Vector u = *(const Vector *)(tile->value[pair] + q * count + i);
-                const Vector k = *(const Vector *)(tile->value[pairs + pair] + q * count + i);
-                x3 += w[q] * u;
-                x0 += s[q][0] * k;
-                x1 += s[q][1] * k;
-                x2 += s[q][2] * k;
+                const double *first = w->tile.value[pair] + q * count + i;
+                const Vector second = *(const Vector *)(first + w->pairs * ROW);
+                for (int k = 0; k < 3; k++) x[k] += h[q][k] * second;
+                x[3] += g[q] * *(const Vector *)first;
             }
-            *h0 = x0, *h1 = x1, *h2 = x2, *g = x3;
+            for (int k = 0; k < 4; k++) *(Vector *)(of[k] + i) = x[k];
         }
-    set_own(sums, e, pairs, count + (-count & (VECTOR - 1)), sources->z0, nu);
+    w->parts++;
 }
 
 /* Return the least n points that serve, more than MAX_POINTS: none do. From the last answer on, as
@@ -445,67 +415,130 @@ INLINE int points_needed(const Rules *rules, double ratio, int n)
     return n;
 }
 
-/* Add points on a part of an element that starts at (ar, az) from the source; 0: too many. */
-static int add_points(Points *points, const Rules *rules, const Element *e, double ar, double az,
-                      double from, double to, int depth)
+/* Integrate over a part of the element, by a rule over `span` from a place on. */
+static void integrate_part(Work *w, int count, int at, int n, const double *points,
+                           const double *weights, double from, double span)
 {
-    const double span = to - from, middle = 0.5 * (from + to);
-    const double distances = hypot(ar + from * e->dr, az + from * e->dz)
-                             + hypot(ar + to * e->dr, az + to * e->dz);
-    const int n = points_needed(rules, distances / (e->length * span), 1);
-    if (n > MAX_POINTS)
-        return depth < DEEPEST
-               && add_points(points, rules, e, ar, az, from, middle, depth + 1)
-               && add_points(points, rules, e, ar, az, middle, to, depth + 1);
-    if (points->count + n > MOST_POINTS) return 0;
+    double place[MAX_POINTS], weight[MAX_POINTS];
     for (int q = 0; q < n; q++) {
-        points->place[points->count] = from + span * rules->points[n * MAX_POINTS + q];
-        points->weight[points->count++] = rules->weights[n * MAX_POINTS + q] * span;
+        place[q] = from + span * points[q];
+        weight[q] = fabs(span) * weights[q];
     }
+    integrate(w, count, at, n, place, weight);
+}
+
+/* Integrate over a part that is close to the source, halved as often as rules need; 0: too close. */
+static int integrate_near(Work *w, int at, double from, double to, int depth)
+{
+    const double dr = w->e.dr, dz = w->e.dz, middle = 0.5 * (from + to);
+    const double distances = hypot(w->a[0] + from * dr, w->b[0] + from * dz)
+                             + hypot(w->a[0] + to * dr, w->b[0] + to * dz);
+    const int n = points_needed(&w->rules, distances / (w->e.length * (to - from)), 1);
+    if (n > MAX_POINTS)
+        return depth < DEEPEST && integrate_near(w, at, from, middle, depth + 1)
+               && integrate_near(w, at, middle, to, depth + 1);
+    integrate_part(w, 1, at, n, w->rules.points + n * MAX_POINTS, w->rules.weights + n * MAX_POINTS,
+                   from, to - from);
     return 1;
 }
 
-/* Set points on an element that holds its source at t = origin: with a singular rule beside it. */
-static int set_points_around(Points *points, const Rules *rules, const Element *e, double r,
-                             double origin)
+/* Integrate over the element around the source, its node `at`, by a singular rule on both sides. */
+static int integrate_around(Work *w, int at)
 {
-    const double reach = r / e->length; /* near the axis kernels change over the radius */
+    const double reach = w->r[0] / w->e.length; /* near the axis kernels change over the radius */
     for (int side = -1; side <= 1; side += 2) {
-        const double whole = side < 0 ? origin : 1.0 - origin;
-        const double span = r > 0.0 && whole > 1.5 * reach ? reach : whole;
-        for (int q = 0; q < MAX_POINTS && whole > 0.0; q++) {
-            points->place[points->count] = side * span * rules->singular_points[q];
-            points->weight[points->count++] = rules->singular_weights[q] * span;
-        }
+        const double whole = side < 0 ? 0.5 * at : 1.0 - 0.5 * at;
+        const double span = reach > 0.0 && whole > 1.5 * reach ? reach : whole;
+        if (whole == 0.0) continue;
+        integrate_part(w, 1, at, MAX_POINTS, w->rules.singular_points, w->rules.singular_weights,
+                       0.0, side * span);
         if (span < whole
-            && !add_points(points, rules, e, 0.0, 0.0, side < 0 ? -whole : span,
-                           side < 0 ? -span : whole, 0))
+            && !integrate_near(w, at, side < 0 ? -whole : span, side < 0 ? -span : whole, 0))
             return 0;
     }
     return 1;
 }
 
-/* Set the integrals over an element that is close to the first of sources, or holds it as its node
-   `at`, elsewhere -1; 0: it is too close. */
-static int integrate_near(Tile *tile, Integrals *sums, Points *points, const Element *e, int pairs,
-                          const Sources *sources, int at, const Rules *rules, double nu)
+/* Set what the integrals of a pair add to the sources' own columns: shape functions sum to one, and
+   to radius or height when weighted with that of their nodes, so that the integral over a field u*,
+   t* needs no kernels of its own. The fields are uniform along z; turn; or are u* = (r1 e_r - lateral
+   (z1 - z0) e_z) / r, which has no axial stress, and stresses that stay finite as Poisson's ratio
+   goes to 1/2; its traction, along r, is star over r. */
+VERSIONS static void set_own(const Work *w, int pair, int count, double own[ROW])
 {
-    points->count = 0;
-    if (!(at < 0 ? add_points(points, rules, e, sources->a[0], sources->b[0], 0.0, 1.0, 0)
-                 : set_points_around(points, rules, e, sources->r[0], 0.5 * at)))
-        return 0;
-    for (int first = 0; first < points->count; first += TILE) {
-        const int n = points->count - first < TILE ? points->count - first : TILE;
-        integrate(tile, sums, e, pairs, sources, 1, at, n, points->place + first,
-                  points->weight + first, first > 0, nu);
+    const double lateral = 2.0 * w->nu / (1.0 - w->nu), star = w->e.nr / (1.0 - w->nu);
+    const double(*h)[ROW] = w->of[pair], (*axial)[ROW] = w->of[pair + w->components];
+    const int direction = pair / w->components; /* r, z or theta */
+    for (int i = 0; i < count; i += VECTOR) {
+        Vector sum = {0.0};
+        for (int k = 0; k < 3; k++) {
+            const double r = w->e.r + 0.5 * k * w->e.dr, z = w->e.z + 0.5 * k * w->e.dz;
+            sum -= (direction == 1 ? 1.0 : r) * *(const Vector *)(h[k] + i);
+            if (direction == 0)
+                sum += lateral * (z - *(const Vector *)(w->z0 + i)) * *(const Vector *)(axial[k] + i);
+        }
+        if (direction == 0) sum += star * *(const Vector *)(h[3] + i);
+        *(Vector *)(own + i) = sum;
     }
-    return 1;
 }
 
-/* Add integrals for sources to a column, at their rows, of which -1 is none. */
-static inline void add_to_column(double *restrict column, const int64_t *restrict rows, int count,
-                                 double factor, const double *restrict integrals)
+/* Add the integrals, times factors, to columns, of which -1 is none, at the rows of sources. */
+static void add(const Work *w, const int64_t *sources, int count)
 {
-    for (int i = 0; i < count; i++)
-        if (rows[i] >= 0) column[rows[i]] += factor * integrals[i];
+    double own[ROW];
+    for (int pair = 0; pair < w->pairs; pair++) {
+        const int64_t *of_component =
+            w->rows + (pair < w->components ? pair : pair - w->components) * w->count;
+        double *own_row = w->own + pair * w->count;
+        int64_t rows[TILE];
+        set_own(w, pair, count, own);
+        for (int i = 0; i < count; i++) {
+            rows[i] = of_component[sources[i]];
+            own_row[sources[i]] += own[i];
+        }
+        for (int k = 0; k < 4; k++) {
+            const int64_t column = w->columns[4 * pair + k];
+            const double factor = w->factors[4 * pair + k], *restrict integrals = w->of[pair][k];
+            double *restrict entries = w->matrix + column;
+            for (int i = 0; column >= 0 && i < count; i++)
+                if (rows[i] >= 0) entries[rows[i]] += factor * integrals[i];
+        }
+    }
+}
+
+/* Integrate for sources that wait for a rule of n points. */
+static void integrate_waiting(Work *w, int n, const int64_t *sources, int *count)
+{
+    if (!*count) return;
+    set_sources(w, sources, *count, -1);
+    integrate(w, *count, -1, n, w->rules.points + n * MAX_POINTS, w->rules.weights + n * MAX_POINTS);
+    add(w, sources, *count);
+    *count = 0;
+}
+
+/* Add the integrals over the element: side by side for sources with the same rule, one by one for
+   those on it or so close that it is cut in parts; 0: it is too close to one. */
+static int integrate_element(Work *w)
+{
+    const Element *e = &w->e;
+    int64_t waiting[MAX_POINTS + 1][TILE];
+    int count[MAX_POINTS + 1] = {0}, n = 1;
+    for (int i = 0; i < ROW; i++) w->tile.nr[i] = e->nr, w->tile.nz[i] = e->nz;
+    for (int64_t s = 0; s < w->count; s++) {
+        const double a = e->r - w->sources[3 * s], b = e->z - w->sources[3 * s + 1];
+        const double a1 = a + e->dr, b1 = b + e->dz;
+        n = points_needed(&w->rules, (sqrt(a * a + b * b) + sqrt(a1 * a1 + b1 * b1)) / e->length, n);
+        if (n > MAX_POINTS) {
+            int at = 2;
+            while (at >= 0 && w->local[at] != w->nodes[s]) at--;
+            set_sources(w, &s, 1, at);
+            if (!(at < 0 ? integrate_near(w, at, 0.0, 1.0, 0) : integrate_around(w, at))) return 0;
+            add(w, &s, 1);
+            continue;
+        }
+        waiting[n][count[n]++] = s;
+        if ((count[n] + 1) * n > TILE) integrate_waiting(w, n, waiting[n], &count[n]);
+    }
+    for (n = 1; n <= MAX_POINTS; n++) integrate_waiting(w, n, waiting[n], &count[n]);
+    return 1;
 }
