@@ -25,12 +25,7 @@ _SHORT = 21
 
 
 def run_page(result: Result) -> page.Page:
-    """Return the page of a run. Not collective.
-
-    Raises
-    ------
-    InputError : the result was stored without its last state.
-    """
+    """Return the page of a run. Not collective."""
     numbers, (rig, case) = key_numbers(result), case_words(result)
     doubts = warning_lines(map(with_signs, warnings_of(result)))
     wrong, errors = checks(result)

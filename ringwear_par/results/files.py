@@ -16,7 +16,6 @@ from ringwear_par.arrays import IntArray
 from ringwear_par.history.state import State
 from ringwear_par.results import hdf5
 from ringwear_par.results.fields import stress_measures
-from ringwear_par.results.key_numbers import laboratory_numbers
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.variables import (
     COORDINATES,
@@ -54,7 +53,7 @@ def variables_of(result: Result) -> dict[str, tuple[Variable, Any]]:
     data = {**result.data, "r": result.line.r, "width": result.line.width}
     if "pressure" in data:
         data[EDGE_ELEMENT.name] = edge_elements(data["pressure"]).astype(EDGE_ELEMENT.dtype)
-    data |= stress_measures(data) | laboratory_numbers(result)
+    data |= stress_measures(data)
     pairs = {n: (_variable(n, data[n]), data[n]) for n in VARIABLES if n in data}
     axes: dict[str, tuple[Variable, Any]] = {}
     for name, (variable, values) in pairs.items():
@@ -104,8 +103,7 @@ def open_result(path: str | Path) -> Result:
         data = dict(_arrays(file))
         if not {"case", "status"} <= attributes.keys() or not {"time", "line/edges"} <= data.keys():
             raise ValueError("incomplete")
-        checkpoint = read_checkpoint(data.pop(_STATE)) if _STATE in data else None
-        return Result(data, attributes, checkpoint, path)
+        return Result(data, attributes, read_checkpoint(data.pop(_STATE)), path)
 
 
 def result_of(source: Result | str | Path) -> Result:
@@ -134,8 +132,7 @@ def write_result(path: Path, result: Result) -> None:
     OSError : the disk or the folder.
     """
     variables = variables_of(result)
-    if result.checkpoint is not None:
-        variables[_STATE] = VARIABLES[_STATE], checkpoint_bytes(result.checkpoint)
+    variables[_STATE] = VARIABLES[_STATE], checkpoint_bytes(result.checkpoint)
     with hdf5.atomic_hdf5(path) as file:
         for name, (variable, values) in variables.items():
             group = name.rpartition("/")[0]

@@ -12,8 +12,13 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Schedules, Table, in_time, integral
+from ringwear_par.results.variables import (
+    EDGE_ERROR,
+    HISTORIES,
+    LABORATORY_NUMBERS,
+    edge_elements,
+)
+from ringwear_par.schedules import Quantity, Table
 
 _HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
@@ -56,75 +61,33 @@ def time_words(time: float, end: float) -> str:
 # -- numbers of laboratories -----------------------------------------------------------------------
 
 
-def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
-    """Return the numbers of the stored states of a result (s,) by name; those that there are."""
-    about = result.attributes
-    densities = {body: densities_of(result, body) for body in BODIES if about[f"law_{body}"]}
-    omega, time = schedule_of(about, "omega"), result.data["time"]
-    return _numbers(
-        result.data, slice(None), in_time(omega, time), integral(omega, 0.0, time),
-        about["nominal_area"], about["mean_radius"], densities,
-    )  # fmt: skip
-
-
-def end_numbers(
-    cases: Sequence[Case], data: Mapping[str, Any], offsets: IntArray
+def laboratory_numbers(
+    cases: Sequence[Case], number: IntArray, data: Mapping[str, Any]
 ) -> dict[str, FloatArray]:
-    """Return the numbers at the last stored states of B histories on one contact pair, (B,).
+    """Return the masses lost and the rates of wear since the start of some states, (s,) by name.
 
     Parameters
     ----------
-    data, offsets : see ``HistoryColumns``.
-    """
-    stored, last = np.diff(offsets) > 0, offsets[1:] - 1
-    if not stored.any():
-        return {}
-    densities = {
-        body: np.array([case.rings[i].densities for case in cases], dtype=float)
-        for i, body in enumerate(BODIES)
-        if any(case.laws[i] is not None for case in cases)
-    }
-    omega, time = Schedules.of([c.load.omega for c in cases]), data["time"][last]
-    numbers = _numbers(
-        data, last, omega.at(time), omega.integral(time), cases[0].area, cases[0].mean_radius,
-        densities,
-    )  # fmt: skip
-    return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
-
-
-def _numbers(
-    data: Mapping[str, Any],
-    rows: Any,
-    omega: FloatArray,
-    angle: FloatArray,
-    area: float,
-    radius: float,
-    densities: Mapping[BodyName, FloatArray],
-) -> dict[str, FloatArray]:
-    """Return the numbers of states (s,) of one history, or of the ends of several.
-
-    Parameters
-    ----------
-    data, rows : stored variables by name, and which of their rows are of these states.
-    omega, angle : (s,) rad/s, and rad turned since the start.
-    area, radius : of the nominal contact, mm2, and its mean, mm.
-    densities : (layers + 1,) or (s, layers + 1) g/mm3 of each body that wears, NaN where unknown.
+    cases : of histories on one contact line.
+    number : (s,) which of their histories the states are of.
+    data : stored variables of the states; NaN in the results is unknown.
     """
     numbers: dict[str, FloatArray] = {}
-    time, force = data["time"][rows], data["force"][rows]
-    for body, density in densities.items():
-        volume = _volumes(data, body)[rows]
+    for i, body in enumerate(BODIES):
+        if cases[0].laws[i] is None:
+            continue
+        volume = _volumes(data, body)
+        density = np.array([case.rings[i].densities for case in cases], dtype=float)
         if not np.isnan(density).all():
-            lost = np.where(volume > 0.0, volume * density, 0.0)  # of nothing: unknown too
+            lost = np.where(volume > 0.0, volume * density[number], 0.0)  # of nothing: unknown too
             numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
         # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
-        worn, hours = 1e3 * volume.sum(axis=1), time / _HOUR
-        for name, divisor in (("mean", area * hours), ("specific", data["normal_work"][rows])):
+        worn, hours = 1e3 * volume.sum(axis=1), data["time"] / _HOUR
+        divisors = {"mean": cases[0].area * hours, "specific": data["normal_work"]}
+        for name, divisor in divisors.items():
             unknown = np.full(worn.shape, np.nan)
             rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
             numbers[f"{name}_wear_rate_{body}"] = rate
-    numbers["sliding_distance"] = 1e-3 * angle * radius
-    numbers["pressure_velocity"] = 1e-3 * force / area * omega * radius
     return numbers
 
 
@@ -194,15 +157,10 @@ def _group(group: str, rows: Iterable[_Row]) -> list[KeyNumber]:
 
 
 def key_numbers(result: Result) -> list[KeyNumber]:
-    """Return the numbers of a run at its last state.
-
-    Raises
-    ------
-    InputError : the result was stored without its last state.
-    """
+    """Return the numbers of a run at its last state."""
     state, about = result.last_state, result.attributes
-    ends = {name: float(values[-1]) for name, values in result.histories.items()}
-    ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
+    names = {**HISTORIES, **LABORATORY_NUMBERS}.keys() & result.data.keys()
+    ends = {name: float(result.data[name][-1]) for name in names}
     wearing = [body for body in BODIES if about[f"law_{body}"]]
     pressure = state.pressure[0]
     numbers = _group("penetration", _penetration(result, pressure, state.wear[:, 0].sum(axis=0)))

@@ -14,7 +14,7 @@ from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import BoundaryState
-from ringwear_par.errors import ComputationError, InputError, RingwearError, ValidityWarning
+from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
@@ -85,13 +85,13 @@ class Result(Outcome):
     data : arrays by their names in ``variables.VARIABLES``, which has their axes, units and
         meanings; fields along the contact line may lack the axis of steps: those of the last.
     attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
-    checkpoint : what a run goes on from, None where the result was made without.
+    checkpoint : what a run goes on from.
     path : of its file, None for a result in memory.
     """
 
     data: Mapping[str, Any]
     attributes: Mapping[str, Any]
-    checkpoint: Checkpoint | None = None
+    checkpoint: Checkpoint
     path: Path | None = None
 
     def __repr__(self) -> str:
@@ -117,14 +117,7 @@ class Result(Outcome):
 
     @property
     def last_state(self) -> State:
-        """The state that a run goes on from, as of a block of one.
-
-        Raises
-        ------
-        InputError : the result was stored without.
-        """
-        if self.checkpoint is None:
-            raise InputError(f"{self.name}: holds no last state; must be one of a run")
+        """The state that a run goes on from, as of a block of one."""
         return self.checkpoint.state
 
     @property
@@ -184,23 +177,13 @@ class Result(Outcome):
         return dict(json.loads(self.attributes["user_laws"]))
 
     def summary(self) -> str:
-        """Return it in a few lines, as ``ringwear run`` prints it.
-
-        Raises
-        ------
-        InputError : the result was stored without its last state.
-        """
+        """Return it in a few lines, as ``ringwear run`` prints it."""
         from ringwear_par.results.summary import summary
 
         return summary(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return title, status, warnings and key numbers with their units, as JSON can hold them.
-
-        Raises
-        ------
-        InputError : the result was stored without its last state.
-        """
+        """Return title, status, warnings and key numbers with their units, for JSON."""
         from ringwear_par.results.summary import to_dict
 
         return to_dict(self)
@@ -259,8 +242,6 @@ class HistoryColumns:
 
     #: (B + 1,) int
     offsets: IntArray
-    #: (rows,) int, steps made
-    steps: IntArray
     #: (rows, ...) each, by name, see ``variables``
     data: Mapping[str, Any]
     #: (B, ...) each, by name: numbers and, where they are stored alone, profiles at the ends; when

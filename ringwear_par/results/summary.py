@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-import numpy as np
-
 from ringwear_par.cases.case import SAME_TIME
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
@@ -14,7 +12,6 @@ from ringwear_par.results.key_numbers import (
     TIME_STEPS,
     KeyNumber,
     check_numbers,
-    densities_of,
     key_numbers,
 )
 from ringwear_par.results.result import Result
@@ -61,8 +58,7 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
     for body in BODIES:
         if f"{body}_worn_volume" not in numbers:
             continue
-        some = np.isfinite(densities_of(result, body)).any()
-        mass = text(f"{body}_mass", ", {}") if some else ""
+        mass = text(f"{body}_mass", ", {}") if f"mass_lost_{body}" in result.data else ""
         deepest = text(f"{body}_deepest_wear", ", {} at most")
         through = text(f"{body}_share_through", ", {} of its area without layers")
         worn.append(f"{body} {text(f'{body}_worn_volume')}{mass}{deepest}{through}")

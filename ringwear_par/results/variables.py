@@ -265,7 +265,12 @@ BOUNDARY = _table(
     ("wear", "boundary_step boundary_element", "mm",
      "worn depth along the axis, 0 off the contact"),
 )
-#: what laboratories report, which follows from the rest: mass lost, rates of wear, distance, p V
+SLIDING = _table(
+    ("sliding_distance", "step", "m", "sliding distance at the mean radius"),
+    ("pressure_velocity", "step", "MPa m/s",
+     "p V: mean pressure on the nominal area times speed at the mean radius"),
+)
+#: what laboratories report: mass lost, rates of wear, distance, p V
 LABORATORY_NUMBERS = {
     **_of_bodies(
         ("mass_lost_lower", "step", "mg",
@@ -275,11 +280,7 @@ LABORATORY_NUMBERS = {
         ("specific_wear_rate_lower", "step", "mm3/(N m)",
          "specific wear rate of the lower ring since the start: volume over force and distance"),
     ),
-    **_table(
-        ("sliding_distance", "step", "m", "sliding distance at the mean radius"),
-        ("pressure_velocity", "step", "MPa m/s",
-         "p V: mean pressure on the nominal area times speed at the mean radius"),
-    ),
+    **SLIDING,
 }
 # fmt: on
 
