@@ -21,7 +21,7 @@ from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, picture
-from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.files import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,

@@ -112,7 +112,7 @@ ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper
 _AXES = _table(
     ("step", "step", "1", "number of time steps made", "int"),
     ("line/edges", "edge", "mm", "radius of the end of a contact element"),
-    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npz file",
+    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npy file",
      "int"),
 )
 #: the contact line
