@@ -19,7 +19,7 @@ from mpi4py import MPI
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.exploring import Exploration
 from ringwear_par.explorer.moved_keys import raw_keys
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 
 log = logging.getLogger(__name__)
 

@@ -23,7 +23,7 @@ from ringwear_par.identification.key_estimates import key_entries, process_entri
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.solution import Solution, solve
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 from ringwear_par.version import versions
 
 #: draws of each chain that are kept; of them, how many tell bands and nuisances

@@ -14,9 +14,16 @@ from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports import blocks as page
 from ringwear_par.reports.case_words import case_words
-from ringwear_par.results.key_numbers import KeyNumber, check_numbers, key_numbers, time_words
+from ringwear_par.results.key_numbers import (
+    KeyNumber,
+    check_numbers,
+    checks,
+    early_end,
+    key_numbers,
+    time_words,
+    warnings_of,
+)
 from ringwear_par.results.result import Result
-from ringwear_par.results.summary import checks, early_end, warnings_of
 
 #: most times on a slider
 _SLIDER = 120

@@ -31,11 +31,10 @@ from ringwear_par.results.result import (
     times_through,
 )
 from ringwear_par.results.variables import (
+    FIELDS,
     HISTORIES,
-    LAYER_ENDS,
     POINT_SIDES,
     SLIDING,
-    VARIABLES,
     layer_names,
 )
 from ringwear_par.results.warnings import warnings_of_histories
@@ -144,6 +143,16 @@ def _moment(instant: Instant, place: int) -> Moment:
     )  # fmt: skip
 
 
+def _points(stresses: Sequence[Mapping[str, Any]], count: int) -> dict[str, FloatArray]:
+    """Return where points of stress are in each of B histories, (B, points)."""
+    where = next((arrays for arrays in stresses if "point_r" in arrays), None)
+    if where is None:
+        return {}
+    sides = np.array([*map(POINT_SIDES.index, where["point_side"])], float)
+    points = {"point_r": where["point_r"], "point_z": where["point_z"], "point_side": sides}
+    return {name: np.tile(values, (count, 1)) for name, values in points.items()}
+
+
 # -- histories -------------------------------------------------------------------------------------
 
 
@@ -175,20 +184,18 @@ class Recorder:
         self._worst = Worst(count)
         self._boundaries = Boundaries(case, comm)
         self._stresses = Stresses(cases, comm, points_only=not results)
-        #: the rows so far by variable, as they came; the last values of what has no rows, (B, ...)
-        self._rows: dict[str, list[Any]] = {"number": [np.empty(0, np.int64)]}
+        of_layers = layer_names((bool(case.lower.layers), bool(case.upper.layers)))
+        names = ("number", "step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields)
+        #: variables that are stored of the last state of each history alone
+        self._at_end = {
+            name
+            for name in names
+            if (name in SLIDING and not results)
+            or (name in FIELDS and case.output.profiles == "last")
+        }
+        #: the rows so far by variable, as they came; and the last values, (B, ...)
+        self._rows: dict[str, list[Any]] = {name: [] for name in names if name not in self._at_end}
         self._last: dict[str, FloatArray] = {}
-        layers = len(case.lower.layers), len(case.upper.layers)
-        sizes = {"element": case.line.n, "layer": 1 + layers[0], "layer_upper": 1 + layers[1]}
-        of_layers = layer_names((layers[0] > 0, layers[1] > 0))
-        for name in ("step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields):
-            variable = VARIABLES[name]
-            shape = [sizes[axis] for axis in variable.dimensions[1:]]
-            is_last = "element" in variable.dimensions and case.output.profiles == "last"
-            if is_last or (name in SLIDING and not results):
-                self._last[name] = np.full((count, *shape), np.nan)
-            else:
-                self._rows[name] = [np.empty((0, *shape), variable.dtype)]
         #: (B,) s, time of the last stored state; negative: there is none
         self._last_time = np.full(count, -1.0)
         #: the last states that histories went on from; None before the first
@@ -221,8 +228,8 @@ class Recorder:
         of = {**before.data, "number": np.zeros_like(before.step), "contact_iterations": iterations}
         for name, parts in self._rows.items():
             parts.append(of[name][rows])
-        for name, last in self._last.items() if rows[-1] else ():
-            last[0] = of[name]
+        if rows[-1]:
+            self._last = {name: of[name][None].copy() for name in self._at_end}
         self._last_time[0] = times[rows][-1]
         if case.output.boundary != "last":
             self._boundaries.states = stored_states(before.data, "boundary_step", times[rows])
@@ -259,7 +266,9 @@ class Recorder:
                     self._worst.take(name, np.array([history]), *np.array([entries]).T)
         for name, values in _values(instant, self._rows).items():
             self._rows[name].append(values)
-        for name, values in _values(instant, self._last).items():
+        for name, values in _values(instant, self._at_end).items():
+            if name not in self._last:
+                self._last[name] = np.full((len(self._cases), *values.shape[1:]), np.nan)
             self._last[name][number] = values
         self._last_time[number] = instant.state.time
 
@@ -280,9 +289,11 @@ class Recorder:
         unstored : the state that a single history has come to, if that is not stored.
         """
         rows, last = self._rows, self._last
+        if not rows["number"]:
+            return np.zeros(len(self._cases) + 1, np.int64), {}, {}
         if unstored is not None:
             rows = {name: [*rows[name], values] for name, values in _values(unstored, rows).items()}
-            last = _values(unstored, last)
+            last = _values(unstored, self._at_end)
         order = np.argsort(np.concatenate(rows["number"]), kind="stable")
         data = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
         offsets = np.searchsorted(data["number"], np.arange(len(self._cases) + 1))
@@ -300,23 +311,11 @@ class Recorder:
         failures : of histories that could not go on; they have the rows before.
         """
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
-        offsets, data, last = self._columns()
-        stresses = [self._stresses.arrays(number) for number in range(count)]
-        through = np.full((2, count), np.inf)
-        for number, (instant, place) in self._ended.items():
-            through[:, number] = instant.state.through[place]
-        whole = last | times_through(self._cases[0], through)
-        there = np.diff(offsets) > 0
-        if there.any():
-            ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
-            numbers = laboratory_numbers(self._cases, np.arange(count), ends)
-            whole |= {name: np.where(there, values, np.nan) for name, values in numbers.items()}
-        where = next((arrays for arrays in stresses if "point_r" in arrays), {})
-        if where:
-            sides = np.array([*map(POINT_SIDES.index, where["point_side"])], float)
-            points = {"point_r": where["point_r"], "point_z": where["point_z"], "point_side": sides}
-            whole |= {name: np.tile(values, (count, 1)) for name, values in points.items()}
-        data |= stress_columns(stresses, data["time"], offsets)
+        offsets, data, whole = self._columns()
+        if data:
+            stresses = [self._stresses.arrays(number) for number in range(count)]
+            whole = whole | self._of_ends(offsets, data) | _points(stresses, count)
+            data |= stress_columns(stresses, data["time"], offsets)
         return HistoryColumns(
             offsets,
             {name: values for name, values in data.items() if name not in ("number", "step")},
@@ -331,6 +330,19 @@ class Recorder:
             status=tuple("failed" if i in failures else "done" for i in range(count)),
             reason=tuple(reason_of(failures[i]) if i in failures else "" for i in range(count)),
         )  # fmt: skip
+
+    def _of_ends(self, offsets: IntArray, data: Mapping[str, Any]) -> dict[str, FloatArray]:
+        """Return when layers were worn through, and numbers of laboratories at the ends, (B,)."""
+        through = np.full((2, len(self._cases)), np.inf)
+        for number, (instant, place) in self._ended.items():
+            through[:, number] = instant.state.through[place]
+        ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
+        numbers = laboratory_numbers(self._cases, np.arange(len(self._cases)), ends)
+        stored = np.diff(offsets) > 0
+        return {
+            **times_through(self._cases[0], through),
+            **{name: np.where(stored, values, np.nan) for name, values in numbers.items()},
+        }
 
     def _warnings(self) -> list[list[ValidityWarning]]:
         return warnings_of_histories(self._cases, self._worst.measures)
@@ -365,22 +377,16 @@ class Recorder:
         """
         assert self.last is not None
         is_stored = self.last.state.time[0] <= self._last_time[0]
-        (result,) = self._results(*self._columns(None if is_stored else self.last), {}, error)
+        (result,) = self.results({}, None if is_stored else self.last, error)
         assert isinstance(result, Result)
         return result
 
-    def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
-        """Return the results of all histories, or why there is none."""
-        return self._results(*self._columns(), {**self._stresses.failures, **failures})
-
-    def _results(
-        self,
-        offsets: IntArray,
-        data: dict[str, Any],
-        last: Mapping[str, Any],
-        failures: Mapping[int, Exception],
-        error: str = "",
+    def results(
+        self, failures: Mapping[int, Exception], unstored: Instant | None = None, error: str = ""
     ) -> list[Result | Exception]:
+        """Return the results of all histories, or why there is none, see ``result``."""
+        failures = {**self._stresses.failures, **failures}
+        offsets, data, last = self._columns(unstored)
         data |= laboratory_numbers(self._cases, data.pop("number"), data)
         results: list[Result | Exception] = []
         for i, warnings in enumerate(self._warnings()):
@@ -389,44 +395,39 @@ class Recorder:
                 continue
             of = {name: values[offsets[i] : offsets[i + 1]] for name, values in data.items()}
             of |= {name: values[i] for name, values in last.items()}
-            results.append(self._result(i, of, warnings, error))
+            of["line/edges"] = self._cases[i].line.edges
+            for body, ring in enumerate(self._cases[i].rings):
+                if ring.layers:
+                    of[f"layer_end_{BODIES[body]}"] = self._cases[i].layer_ends(body)
+                if not any(ring.densities):  # those of other cases may be known
+                    of.pop(f"mass_lost_{BODIES[body]}", None)
+            of |= {**self._stresses.arrays(i), **self._boundaries.arrays()}
+            worst = {name: values[:, i] for name, values in self._worst.measures.items()}
+            about = self._attributes(i, warnings, error)
+            results.append(Result(of, about, Checkpoint(self._end(i)[1], worst)))
         return results
 
-    def _result(
-        self, number: int, data: dict[str, Any], warnings: Sequence[ValidityWarning], error: str
-    ) -> Result:
-        """Return the result of a history, whose rows these are."""
+    def _attributes(
+        self, number: int, warnings: Sequence[ValidityWarning], error: str
+    ) -> dict[str, Any]:
+        """Return the attributes of a history."""
         case, (block, state) = self._cases[number], self._end(number)
         balances = self._worst.balances(number)
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
             del balances["step_error"]
-        about = case_attributes(case, float(state.time[0]))
-        if limits := self._limits(number):
-            about["stopped_by"] = " and ".join(limits.values())
-        through = times_through(case, state.through[0])
-        about |= {name: float(time) for name, time in through.items()}
-
-        data["line/edges"] = case.line.edges
-        for body, ends, ring in zip(BODIES, LAYER_ENDS, case.rings, strict=True):
-            if ring.layers:
-                data[ends] = case.layer_ends(BODIES.index(body))
-            if not any(ring.densities):  # those of others may be known
-                data.pop(f"mass_lost_{body}", None)
-        data |= {**self._stresses.arrays(number), **self._boundaries.arrays()}
-        return Result(
-            data,
-            {
-                **about,
-                "status": "complete" if number in self._ended else "incomplete",
-                "error": error,
-                "ranks": self._comm.size,
-                **self._seconds(block),
-                **{f"{BALANCE}{name}": value for name, value in balances.items()},
-                "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
-                "doubts": json.dumps([warning.to_dict() for warning in warnings]),
-            },
-            Checkpoint(state, {n: v[:, number] for n, v in self._worst.measures.items()}),
-        )
+        limits, through = self._limits(number), times_through(case, state.through[0])
+        return {
+            **case_attributes(case, float(state.time[0])),
+            **({"stopped_by": " and ".join(limits.values())} if limits else {}),
+            **{name: float(time) for name, time in through.items()},
+            "status": "complete" if number in self._ended else "incomplete",
+            "error": error,
+            "ranks": self._comm.size,
+            **self._seconds(block),
+            **{f"{BALANCE}{name}": value for name, value in balances.items()},
+            "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
+            "doubts": json.dumps([warning.to_dict() for warning in warnings]),
+        }
 
     def _seconds(self, block: Block) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.
@@ -434,17 +435,14 @@ class Recorder:
         Of several histories, those of one in the mean.
         """
         assert self.last is not None
-        elastic = np.zeros(2)
-        if not self._pair_is_shared:
-            elastic += block.line.pairs[0].seconds
-        if self.last.following is not None:
-            elastic += self.last.following.seconds
-        assembly, solution = elastic.tolist()
-        stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
+        pair, following = block.line.pairs[0], self.last.following
+        elastic = np.zeros(2) if self._pair_is_shared else pair.seconds
+        elastic = elastic if following is None else elastic + following.seconds
+        stepping = self._stepping / len(self._cases) - self.seconds_output - elastic.sum()
         seconds = {
-            "seconds_assembly": assembly,
-            "seconds_factorisation": solution,
+            "seconds_assembly": elastic[0],
+            "seconds_factorisation": elastic[1],
             "seconds_stepping": max(stepping, 0.0),
             "seconds_output": self.seconds_output,
         }
-        return {name: s + float(self._before.get(name, 0.0)) for name, s in seconds.items()}
+        return {name: float(s + self._before.get(name, 0.0)) for name, s in seconds.items()}
