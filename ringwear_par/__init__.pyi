@@ -20,7 +20,7 @@ from ringwear_par.reports.report import report as report
 from ringwear_par.results.files import open_result as open_result
 from ringwear_par.results.result import FailedResult as FailedResult
 from ringwear_par.results.result import Result as Result
-from ringwear_par.results.simulate import simulate as simulate
+from ringwear_par.results.run import simulate as simulate
 from ringwear_par.studies.ensemble import open_ensemble as open_ensemble
 from ringwear_par.studies.many import simulate_all as simulate_all
 from ringwear_par.studies.plot import plot as plot

@@ -18,7 +18,7 @@ from typing import Any
 from ringwear_par.commands import loaded, parsed
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.parallel import as_ours, on_first_rank, together
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 
 #: seconds that a rank which fails, perhaps alone, leaves to the first one to say so
 _LONE_SECONDS = 1.0

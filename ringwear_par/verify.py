@@ -24,7 +24,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic import assemble
 from ringwear_par.history.loop import first_contact
 from ringwear_par.parallel import together
-from ringwear_par.results.simulate import simulate
+from ringwear_par.results.run import simulate
 from ringwear_par.wear.laws import LAWS
 
 #: Poisson's ratio of all bodies

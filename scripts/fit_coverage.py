@@ -25,7 +25,7 @@ from ringwear_par.identification.emulator import Box, emulate
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import judged
 from ringwear_par.identification.readings import growth, nuisance_columns
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 
 Wanted = Sequence[tuple[int, FloatArray]]
 #: whether an interval holds the truth, and half its width

@@ -106,7 +106,7 @@ def test_nohup_is_respected():
     program = """
 import os, signal, sys
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 with StopSignals() as signals:
     os.kill(os.getpid(), signal.SIGHUP)
     os.kill(os.getpid(), signal.SIGTERM)

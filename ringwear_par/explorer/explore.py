@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import InputError
 from ringwear_par.history.refusals import check_case
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 
 #: bytes of the token in the address
 _TOKEN = 24

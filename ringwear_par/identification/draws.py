@@ -17,7 +17,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import reflected
-from ringwear_par.results.hdf5 import atomic_hdf5, reading, write_variable
+from ringwear_par.results.files import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 from ringwear_par.schedules import mean, mean_of_product
 from ringwear_par.wear.laws import Law

@@ -17,7 +17,7 @@ from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.summary import KeyRow
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 
 
 def expectation(problem: Problem, comm: MPI.Intracomm) -> str:

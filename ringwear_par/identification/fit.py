@@ -21,7 +21,7 @@ from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.solution import solve
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.result import Outcome
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 
 log = logging.getLogger(__name__)
 

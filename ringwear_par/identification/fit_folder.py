@@ -18,7 +18,7 @@ from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.style import STYLE, NotebookFigure
-from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.files import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
 #: most columns of series; inches of readings with their residuals, and of a legend above all

@@ -25,9 +25,8 @@ from ringwear_par.history.elastic import assemble, operator_key
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.readings import Reader, trajectory
 from ringwear_par.parallel import as_ours, together
-from ringwear_par.results.progress import Progress
+from ringwear_par.results.progress import Progress, StopSignals, name_of
 from ringwear_par.results.result import Result
-from ringwear_par.results.signals import StopSignals, name_of
 from ringwear_par.studies.many import computed
 from ringwear_par.studies.variations import split_key
 

@@ -93,7 +93,7 @@ HISTORY_PANELS = {
     "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
     "pv": HistoryPanel(
         "p V at the mean radius (MPa m/s)",
-        lambda result: {"": key_numbers.laboratory_numbers(result)["pressure_velocity"]},
+        lambda result: {"": result.data["pressure_velocity"]},
     ),
 }
 

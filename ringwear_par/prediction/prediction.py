@@ -17,7 +17,7 @@ from ringwear_par.files import folders
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS, picture
-from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.files import atomic_hdf5, write_variable
 from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Outcome
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, SOFTWARE, Variable, to_dataset

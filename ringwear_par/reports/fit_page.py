@@ -17,7 +17,7 @@ from ringwear_par.identification import summary
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.reports import blocks as page
-from ringwear_par.results.hdf5 import reading
+from ringwear_par.results.files import reading
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.variables import SOFTWARE
 

@@ -17,9 +17,16 @@ from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.rig import rig_svg
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports import blocks as page
-from ringwear_par.results.key_numbers import KeyNumber, check_numbers, key_numbers
+from ringwear_par.results.key_numbers import (
+    KeyNumber,
+    check_numbers,
+    checks,
+    early_end,
+    key_numbers,
+    time_words,
+    warnings_of,
+)
 from ringwear_par.results.result import Result
-from ringwear_par.results.summary import checks, early_end, warnings_of
 
 #: most rows of a table that is not folded
 _SHORT = 21
@@ -28,12 +35,7 @@ _LEVEL = 5e-3
 
 
 def run_page(result: Result) -> page.Page:
-    """Return the page of a run. Not collective.
-
-    Raises
-    ------
-    InputError : the result was stored without its last state.
-    """
+    """Return the page of a run. Not collective."""
     numbers = key_numbers(result)
     doubts = warning_lines(map(with_signs, warnings_of(result)))
     wrong, errors = checks(result)

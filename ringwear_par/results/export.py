@@ -14,8 +14,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.spreadsheets import Table, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results.fields import boundaries
-from ringwear_par.results.files import result_of
-from ringwear_par.results.hdf5 import atomic_hdf5
+from ringwear_par.results.files import atomic_hdf5, result_of
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import VARIABLES

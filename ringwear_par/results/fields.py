@@ -1,6 +1,7 @@
 """Stresses and fields on whole boundaries: what the arrays of a result have of them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,10 +98,7 @@ def side_words(numbers: FloatArray) -> Any:
     return np.array(POINT_SIDES, dtype="S")[np.nan_to_num(numbers).astype(int)]
 
 
-# -- boundaries ------------------------------------------------------------------------------------
-
-#: arrays of ``BoundaryFields`` of each state
-_MOVING = ("nodes", "displacement", "traction", "pressure", "wear")
+# -- what a result has of them ---------------------------------------------------------------------
 
 
 def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
@@ -109,8 +107,9 @@ def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
         return ()
 
     def of(body: str, t: int) -> BoundaryFields:
-        mesh = {name: data[f"boundary/{body}/{name}"] for name in MESH_FIELDS}
-        return BoundaryFields(**mesh, **{n: data[f"boundary/{body}/{n}"][t] for n in _MOVING})
+        names = (field.name for field in fields(BoundaryFields))
+        arrays = {name: data[f"boundary/{body}/{name}"] for name in names}
+        return BoundaryFields(**{n: v if n in MESH_FIELDS else v[t] for n, v in arrays.items()})
 
     times, steps = (data[f"boundary/lower/{name}"].tolist() for name in ("time", "steps_made"))
     return tuple(
@@ -119,30 +118,29 @@ def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
     )
 
 
-# -- what a result has of them ---------------------------------------------------------------------
-
-
 def stresses(result: Result) -> dict[str, Any]:
-    """Return the stored stresses by name, see ``Result.stress``.
-
-    Raises
-    ------
-    InputError : there are none.
-    """
+    """Return the stored stresses by name, see ``Result.stress``; InputError: there are none."""
     if not result.stress:
         raise _lacks(result, "stresses", "computed with [stress] in its case")
     return result.stress
 
 
 def check_grid(result: Result) -> None:
-    """Refuse a result without stresses on a grid.
-
-    Raises
-    ------
-    InputError : there are none, or none on a grid.
-    """
+    """Refuse a result without stresses on a grid by an InputError."""
     if "stress_grid" not in stresses(result):
         raise _lacks(result, "stresses on a grid", "computed with stress.grid")
+
+
+def boundaries(result: Result) -> tuple[BoundaryState, ...]:
+    """Return the stored states of both bodies' boundaries; InputError: there are none."""
+    if not (states := result.boundary):
+        how = 'computed with output.boundary = "last" or "all", or with times'
+        raise _lacks(result, "fields on the bodies' boundaries", how)
+    return states
+
+
+def _lacks(result: Result, what: str, must: str) -> InputError:
+    return InputError(f"{result.name}: holds no {what}; must be {must}")
 
 
 def nearest_rows(stored: FloatArray, times: Sequence[float]) -> list[int]:
@@ -172,12 +170,7 @@ class Interface(NamedTuple):
 
 
 def interfaces_of(result: Result) -> list[Interface]:
-    """Return the interfaces along which a result has stresses.
-
-    Raises
-    ------
-    InputError : there are none.
-    """
+    """Return the interfaces along which a result has stresses; InputError: there are none."""
     of = stresses(result)
     interfaces = [
         Interface(i, layer, of[f"interface_r_{body}"], z, of[f"interface_stress_{body}"][:, layer])
@@ -187,20 +180,3 @@ def interfaces_of(result: Result) -> list[Interface]:
     if not interfaces:
         raise _lacks(result, "stresses along interfaces", "of a body with layers")
     return interfaces
-
-
-def boundaries(result: Result) -> tuple[BoundaryState, ...]:
-    """Return the stored states of both bodies' boundaries.
-
-    Raises
-    ------
-    InputError : there are none.
-    """
-    if not (states := result.boundary):
-        how = 'computed with output.boundary = "last" or "all", or with times'
-        raise _lacks(result, "fields on the bodies' boundaries", how)
-    return states
-
-
-def _lacks(result: Result, what: str, must: str) -> InputError:
-    return InputError(f"{result.name}: holds no {what}; must be {must}")

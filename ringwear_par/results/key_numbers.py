@@ -1,4 +1,4 @@
-"""Numbers of a run: those of laboratories at all stored states, and the key numbers at its end."""
+"""Numbers of a run: those of laboratories at all stored states, key numbers, and its summary."""
 
 import json
 import math
@@ -9,11 +9,17 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.case import Case, density_keys
+from ringwear_par.cases.case import SAME_TIME, Case, density_keys
 from ringwear_par.elasticity.sections import BODIES, BodyName
+from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Schedules, Table, in_time, integral
+from ringwear_par.results.variables import (
+    EDGE_ERROR,
+    HISTORIES,
+    LABORATORY_NUMBERS,
+    edge_elements,
+)
+from ringwear_par.schedules import Quantity, Table
 
 _HOUR = 3600.0
 #: longest time, s, that is written in a unit, the unit, and its seconds
@@ -35,6 +41,11 @@ _CHECKED = {
     "reaction": (MESH_BALANCES, "force on the held faces"),
     "torque": (MESH_BALANCES, "torque on the held faces"),
 }
+#: errors of balances above which a computation does not satisfy its equations; of eq. (3) itself,
+#: which blocks solve to a part of the tolerance of wear
+_MOST_ERROR, _MOST_RESIDUAL = 1e-6, 5e-2
+#: letters of the first column of lines
+_LABEL = 13
 
 
 def time_unit(end: float) -> tuple[str, float]:
@@ -56,75 +67,33 @@ def time_words(time: float, end: float) -> str:
 # -- numbers of laboratories -----------------------------------------------------------------------
 
 
-def laboratory_numbers(result: Result) -> dict[str, FloatArray]:
-    """Return the numbers of the stored states of a result (s,) by name; those that there are."""
-    about = result.attributes
-    densities = {body: densities_of(result, body) for body in BODIES if about[f"law_{body}"]}
-    omega, time = schedule_of(about, "omega"), result.data["time"]
-    return _numbers(
-        result.data, slice(None), in_time(omega, time), integral(omega, 0.0, time),
-        about["nominal_area"], about["mean_radius"], densities,
-    )  # fmt: skip
-
-
-def end_numbers(
-    cases: Sequence[Case], data: Mapping[str, Any], offsets: IntArray
+def laboratory_numbers(
+    cases: Sequence[Case], number: IntArray, data: Mapping[str, Any]
 ) -> dict[str, FloatArray]:
-    """Return the numbers at the last stored states of B histories on one contact pair, (B,).
+    """Return the masses lost and the rates of wear since the start of some states, (s,) by name.
 
     Parameters
     ----------
-    data, offsets : see ``HistoryColumns``.
-    """
-    stored, last = np.diff(offsets) > 0, offsets[1:] - 1
-    if not stored.any():
-        return {}
-    densities = {
-        body: np.array([case.rings[i].densities for case in cases], dtype=float)
-        for i, body in enumerate(BODIES)
-        if any(case.laws[i] is not None for case in cases)
-    }
-    omega, time = Schedules.of([c.load.omega for c in cases]), data["time"][last]
-    numbers = _numbers(
-        data, last, omega.at(time), omega.integral(time), cases[0].area, cases[0].mean_radius,
-        densities,
-    )  # fmt: skip
-    return {name: np.where(stored, values, np.nan) for name, values in numbers.items()}
-
-
-def _numbers(
-    data: Mapping[str, Any],
-    rows: Any,
-    omega: FloatArray,
-    angle: FloatArray,
-    area: float,
-    radius: float,
-    densities: Mapping[BodyName, FloatArray],
-) -> dict[str, FloatArray]:
-    """Return the numbers of states (s,) of one history, or of the ends of several.
-
-    Parameters
-    ----------
-    data, rows : stored variables by name, and which of their rows are of these states.
-    omega, angle : (s,) rad/s, and rad turned since the start.
-    area, radius : of the nominal contact, mm2, and its mean, mm.
-    densities : (layers + 1,) or (s, layers + 1) g/mm3 of each body that wears, NaN where unknown.
+    cases : of histories on one contact line.
+    number : (s,) which of their histories the states are of.
+    data : stored variables of the states; NaN in the results is unknown.
     """
     numbers: dict[str, FloatArray] = {}
-    time, force = data["time"][rows], data["force"][rows]
-    for body, density in densities.items():
-        volume = _volumes(data, body)[rows]
+    for i, body in enumerate(BODIES):
+        if cases[0].laws[i] is None:
+            continue
+        volume = _volumes(data, body)
+        density = np.array([case.rings[i].densities for case in cases], dtype=float)
         if not np.isnan(density).all():
-            lost = np.where(volume > 0.0, volume * density, 0.0)  # of nothing: unknown too
+            lost = np.where(volume > 0.0, volume * density[number], 0.0)  # of nothing: unknown too
             numbers[f"mass_lost_{body}"] = 1e3 * lost.sum(axis=1)
         # by 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m)
-        worn, hours = 1e3 * volume.sum(axis=1), time / _HOUR
-        for name, divisor in (("mean", area * hours), ("specific", data["normal_work"][rows])):
+        worn, hours = 1e3 * volume.sum(axis=1), data["time"] / _HOUR
+        divisors = {"mean": cases[0].area * hours, "specific": data["normal_work"]}
+        for name, divisor in divisors.items():
             unknown = np.full(worn.shape, np.nan)
             rate = np.divide(worn, divisor, out=unknown, where=divisor > 0.0)
             numbers[f"{name}_wear_rate_{body}"] = rate
-    numbers["sliding_distance"] = 1e-3 * angle * radius
-    numbers["pressure_velocity"] = 1e-3 * force / area * omega * radius
     return numbers
 
 
@@ -194,15 +163,10 @@ def _group(group: str, rows: Iterable[_Row]) -> list[KeyNumber]:
 
 
 def key_numbers(result: Result) -> list[KeyNumber]:
-    """Return the numbers of a run at its last state.
-
-    Raises
-    ------
-    InputError : the result was stored without its last state.
-    """
+    """Return the numbers of a run at its last state."""
     state, about = result.last_state, result.attributes
-    ends = {name: float(values[-1]) for name, values in result.histories.items()}
-    ends |= {name: float(values[-1]) for name, values in laboratory_numbers(result).items()}
+    names = {**HISTORIES, **LABORATORY_NUMBERS}.keys() & result.data.keys()
+    ends = {name: float(result.data[name][-1]) for name in names}
     wearing = [body for body in BODIES if about[f"law_{body}"]]
     pressure = state.pressure[0]
     numbers = _group("penetration", _penetration(result, pressure, state.wear[:, 0].sum(axis=0)))
@@ -334,3 +298,117 @@ def check_numbers(result: Result) -> list[KeyNumber]:
         error = 1e3 * off["step_error"]
         numbers.append(KeyNumber("step_error", TIME_STEPS, label, error, "um", note, ".2g"))
     return numbers
+
+
+# -- in words --------------------------------------------------------------------------------------
+
+
+def labelled(lines: Iterable[tuple[str, str]]) -> list[str]:
+    """Return lines of a summary: what it is, and the answer behind it."""
+    return [f"{label.ljust(_LABEL)}{text}" for label, text in lines]
+
+
+def summary(result: Result) -> str:
+    """Return a result in a few lines, see ``Result.summary``."""
+    numbers = {number.name: number for number in key_numbers(result)}
+    warnings, (wrong, errors) = warnings_of(result), checks(result)
+    words = [f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, above"] if warnings else []
+    words += [f"wrong: {', '.join(wrong)}"] if wrong else []
+    answers = [*_answers(result, numbers), ("checks", f"{'; '.join(words) or 'ok'} ({errors})")]
+    lines = [*warning_lines(warnings), *labelled(answers)]
+    return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
+
+
+def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple[str, str]]:
+    """Yield the answers of a run, one a line, with four digits."""
+
+    def text(name: str, words: str = "{}") -> str:
+        """Return a number within words, "" where there is none."""
+        if (number := numbers.get(name)) is None:
+            return ""
+        if not number.known:
+            return words.format(f"{number.label} unknown ({number.note})")
+        return words.format(f"{number.text} {number.unit}".strip())
+
+    if early := early_end(result):
+        yield "ended", early
+    parts = text("worn_off", " (worn off {}") + text("elastic", ", elastic {})")
+    yield "penetration", text("penetration") + parts
+    worn, rates = [], []
+    for body in BODIES:
+        if f"{body}_worn_volume" not in numbers:
+            continue
+        mass = text(f"{body}_mass", ", {}") if f"mass_lost_{body}" in result.data else ""
+        deepest = text(f"{body}_deepest_wear", ", {} at most")
+        through = text(f"{body}_share_through", ", {} of its area without layers")
+        worn.append(f"{body} {text(f'{body}_worn_volume')}{mass}{deepest}{through}")
+        specific = text(f"{body}_specific_rate", ", {} over the test")
+        rates.append(text(f"{body}_last_rate", f"{body} {{}} at the end") + specific)
+    yield "worn", "; ".join(worn) or "nothing wears"
+    yield "wear rate", "; ".join(filter(None, rates)) or "none"
+    where = text("r_largest_pressure", " at most (r = {})")
+    largest = text("largest_pressure", f"{{}}{where}, ")
+    elements = f"{text('touching')} of {result.line.n} elements touch"
+    elements += "" if largest else ": the faces do not touch"
+    yield "pressure", f"{text('mean_pressure')} mean, {largest}{elements}"
+    energy = text("dissipated_energy")
+    yield "torque", f"{text('torque')}, force {text('force')}, friction energy {energy}"
+
+
+def early_end(result: Result) -> str:
+    """Return where a limit ended a history before its time, "" if none did."""
+    about, ended = result.attributes, float(result.data["time"][-1])
+    if about["status"] != "complete" or ended >= about["time_end"] * (1.0 - SAME_TIME):
+        return ""
+    limit = about.get("stopped_by", "a limit of [stop]")
+    return f"at t = {ended:g} of {about['time_end']:g} s, where it reached {limit}"
+
+
+def checks(result: Result) -> tuple[list[str], str]:
+    """Return balances that are not what the equations say, and the largest errors, in words."""
+    numbers = check_numbers(result)
+    balances = [number for number in numbers if number.group == BALANCES]
+    wrong = [
+        f"{n.label} {n.text}"
+        for n in balances
+        if n.value > (_MOST_RESIDUAL if n.name == "balance_residual" else _MOST_ERROR)
+    ]
+    mesh = max(number.value for number in numbers if number.group == MESH_BALANCES)
+    worst = max((number.value for number in balances), default=0.0)
+    words = [f"balances to {worst:.0e}", f"mesh to {mesh:.0e}"]
+    steps = [number for number in numbers if number.group == TIME_STEPS]
+    words += [f"time steps to {number.text} {number.unit} in all" for number in steps]
+    return wrong, ", ".join(words)
+
+
+def to_dict(result: Result) -> dict[str, Any]:
+    """Return title, status, warnings and numbers, see ``Result.to_dict``."""
+    numbers = [*key_numbers(result), *check_numbers(result)]
+    return {
+        **{name: result.attributes[name] for name in ("title", "status", "error")},
+        "doubts": [doubt.to_dict() for doubt in result.doubts],
+        "warnings": [doubt.text for doubt in result.doubts],
+        "numbers": {
+            n.name: {"value": n.value if n.known else None, "unit": n.unit} for n in numbers
+        },
+    }
+
+
+def warnings_of(result: Result) -> list[str]:
+    """Return how far a history is that has not come to its end, and what is doubted, in words."""
+    about, sentences = result.attributes, []
+    if about["status"] != "complete":
+        time = f"t = {result.data['time'][-1]:g} of {about['time_end']:g} s"
+        where = f"step {result.step[-1]}, {time}"
+        sentences.append(
+            f"failed after {where}: {about['error']}"
+            if about["error"]
+            else f"stopped after {where}: ringwear run --restart continues it"
+        )
+    sentences += [doubt.text for doubt in result.doubts]
+    for body in BODIES if result.data["dissipated_energy"][-1] > 0.0 else ():
+        law = about[f"law_{body}"]
+        if law and result.data[f"worn_volume_{body}"][-1] == 0.0:
+            reason = f"its pressures never reach what wears, by {law}"
+            sentences.append(f"nothing of {body} is worn off: {reason}")
+    return sentences

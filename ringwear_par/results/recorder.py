@@ -1,24 +1,27 @@
-"""Stores the histories of a block, and makes their results."""
+"""Stores the histories of a block as rows of variables, and makes their results."""
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import take
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.cases.schema import STOP_CRITERIA
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.block import Block
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS, Worst
+from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import Boundaries, Stresses
+from ringwear_par.history.stresses import Boundaries, Moment, Stresses
 from ringwear_par.results.fields import stored_states, stress_columns
-from ringwear_par.results.key_numbers import end_numbers
+from ringwear_par.results.key_numbers import laboratory_numbers
 from ringwear_par.results.result import (
     BALANCE,
     Checkpoint,
@@ -27,9 +30,130 @@ from ringwear_par.results.result import (
     case_attributes,
     times_through,
 )
-from ringwear_par.results.rows import Columns, Rows, moment
-from ringwear_par.results.variables import LAYER_ENDS, POINT_SIDES
+from ringwear_par.results.variables import (
+    FIELDS,
+    HISTORIES,
+    POINT_SIDES,
+    SLIDING,
+    layer_names,
+)
 from ringwear_par.results.warnings import warnings_of_histories
+
+Value = Callable[[Block, State], Any]
+
+# -- what is stored of a state ---------------------------------------------------------------------
+
+
+def _twist(block: Block, state: State) -> FloatArray:
+    """Return the area mean of the circumferential displacement jump, (B,) mm."""
+    line, pair, soft = block.line, block.compliance.pair, block.compliance.softness
+    per_shear = np.array([of.twist for of in line.pairs])[pair] / line.area.sum()
+    jump = np.einsum("bi,bin,bn->b", soft, per_shear, state.pressure)
+    return block.friction.at(state.time) * jump
+
+
+def _gap(block: Block, state: State) -> FloatArray:
+    """Return the gaps of the bodies under pressure, (B, n) mm; in contact 0 but for round-off."""
+    p = state.pressure
+    gap = block.compliance.gap(block.worn_gap(state.wear), p, state.approach)
+    return np.where(p > 0.0, 0.0, np.maximum(gap, 0.0))
+
+
+def _layers(block: Block, state: State, body: int) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the layers of a body, and its wear, (layers + 1, B, n) and (B, n) mm."""
+    for wearing, wear in zip(block.wearing, state.wear, strict=True):
+        if wearing.body == body:
+            return wearing.ends, wear
+    case = block.cases.every[0]
+    ends = np.append(case.layer_ends(body), np.full((1, case.line.n), np.inf), axis=0)
+    return np.repeat(ends[:, None], len(block), axis=1), np.zeros_like(block.gap)
+
+
+def _of_body(body: int) -> dict[str, Value]:
+    """Return the variables of one of the bodies by name."""
+    name = BODIES[body]
+
+    def wear(block: Block, state: State) -> FloatArray:
+        return block.both(state.wear)[body]
+
+    def left(block: Block, state: State) -> FloatArray:
+        return layer_left(*_layers(block, state, body))
+
+    def share_through(block: Block, state: State) -> FloatArray:
+        through = left(block, state) <= 0.0
+        return through @ block.line.area / (np.ones_like(through) @ block.line.area)  # 1 at most
+
+    def volumes(block: Block, state: State) -> FloatArray:
+        return layer_volumes(block.line.area, *_layers(block, state, body))
+
+    return {
+        f"wear_{name}": wear,
+        f"worn_volume_{name}": lambda block, state: wear(block, state) @ block.line.area,
+        f"layer_left_{name}": left,
+        f"share_through_{name}": share_through,
+        f"worn_volume_{name}_layers": volumes,
+    }
+
+
+def _pressure_velocity(block: Block, state: State) -> FloatArray:
+    """Return the mean pressure on the nominal area times speed, (B,) MPa m/s."""
+    case, omega = block.cases.every[0], block.omega.at(state.time)
+    return 1e-3 * (state.pressure @ block.line.area) / case.area * omega * case.mean_radius
+
+
+def _distance(block: Block, state: State) -> FloatArray:
+    """Return the sliding distance at the mean radius, (B,) m."""
+    return 1e-3 * block.omega.integral(state.time) * block.cases.every[0].mean_radius
+
+
+#: the variables of states by name, (B,) or (B, n); of iterations all so far
+VALUES: Mapping[str, Value] = {
+    "number": lambda block, state: block.number,
+    "step": lambda block, state: state.steps,
+    "contact_iterations": lambda block, state: state.iterations,
+    "time": lambda block, state: state.time,
+    "approach": lambda block, state: state.approach,
+    "penetration": lambda block, state: state.approach - state.first_approach,
+    "force": lambda block, state: state.pressure @ block.line.area,
+    "torque": lambda block, state: block.friction.at(state.time) * block.moment(state.pressure),
+    "twist": _twist,
+    "dissipated_energy": lambda block, state: state.energy,
+    "normal_work": lambda block, state: state.normal_work,
+    "pressure": lambda block, state: state.pressure,
+    "gap": _gap,
+    "sliding_distance": _distance,
+    "pressure_velocity": _pressure_velocity,
+    **_of_body(0),
+    **_of_body(1),
+}
+
+
+def _values(instant: Instant, names: Iterable[str]) -> dict[str, Any]:
+    """Return what is stored of states under these names."""
+    return {name: VALUES[name](instant.block, instant.state) for name in names}
+
+
+def _moment(instant: Instant, place: int) -> Moment:
+    """Return one of the states of an instant."""
+    block, state = instant.block, instant.state
+    return Moment(
+        float(state.time[place]), int(state.steps[place]), bool(instant.ended[place]),
+        state.pressure[place], float(state.approach[place]), block.both(state.wear)[:, place],
+        None if state.meshed is None else block.both(state.meshed)[:, place],
+    )  # fmt: skip
+
+
+def _points(stresses: Sequence[Mapping[str, Any]], count: int) -> dict[str, FloatArray]:
+    """Return where points of stress are in each of B histories, (B, points)."""
+    where = next((arrays for arrays in stresses if "point_r" in arrays), None)
+    if where is None:
+        return {}
+    sides = np.array([*map(POINT_SIDES.index, where["point_side"])], float)
+    points = {"point_r": where["point_r"], "point_z": where["point_z"], "point_side": sides}
+    return {name: np.tile(values, (count, 1)) for name, values in points.items()}
+
+
+# -- histories -------------------------------------------------------------------------------------
 
 
 class Recorder:
@@ -55,10 +179,25 @@ class Recorder:
         results: bool = True,
         pair_is_shared: bool = False,
     ) -> None:
+        case, count = cases[0], len(cases)
         self._cases, self._comm, self._pair_is_shared = cases, comm, pair_is_shared
-        self._rows, self._worst = Rows(cases), Worst(len(cases))
-        self._boundaries = Boundaries(cases[0], comm)
+        self._worst = Worst(count)
+        self._boundaries = Boundaries(case, comm)
         self._stresses = Stresses(cases, comm, points_only=not results)
+        of_layers = layer_names((bool(case.lower.layers), bool(case.upper.layers)))
+        names = ("number", "step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields)
+        #: variables that are stored of the last state of each history alone
+        self._at_end = {
+            name
+            for name in names
+            if (name in SLIDING and not results)
+            or (name in FIELDS and case.output.profiles == "last")
+        }
+        #: the rows so far by variable, as they came; and the last values, (B, ...)
+        self._rows: dict[str, list[Any]] = {name: [] for name in names if name not in self._at_end}
+        self._last: dict[str, FloatArray] = {}
+        #: (B,) s, time of the last stored state; negative: there is none
+        self._last_time = np.full(count, -1.0)
         #: the last states that histories went on from; None before the first
         self.last: Instant | None = None
         #: of histories that have ended: their last instant, and their place in it
@@ -73,15 +212,29 @@ class Recorder:
             self._restore(before)
 
     def _restore(self, before: Result) -> None:
-        """Take over the stored rows of an interrupted history, and the worst of all its states."""
-        assert before.checkpoint is not None
+        """Take over the rows of an interrupted history that its case stores, and its worst states.
+
+        The last row of a history that was stopped, or ends later now, may not be among them.
+        """
         self.first, self._before = before.checkpoint.state, before.attributes
-        times, output = self._rows.restore(before), self._cases[0].output
         self._worst.measures = {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
-        if output.boundary != "last":
-            self._boundaries.states = stored_states(before.data, "boundary_step", times)
-        if (stress := self._cases[0].stress) is not None and stress.times != "last":
-            self._stresses.states[0] = stored_states(before.data, "stress_step", times)
+        case, times = self._cases[0], before.data["time"]
+        if case.output.times:
+            near = np.abs(times[:, None] - case.output.times) <= SAME_TIME * times[:, None]
+            rows = (times == 0.0) | near.any(axis=1)
+        else:
+            rows = before.step % case.output.every == 0
+        iterations = np.cumsum(before.data["contact_iterations"])
+        of = {**before.data, "number": np.zeros_like(before.step), "contact_iterations": iterations}
+        for name, parts in self._rows.items():
+            parts.append(of[name][rows])
+        if rows[-1]:
+            self._last = {name: of[name][None].copy() for name in self._at_end}
+        self._last_time[0] = times[rows][-1]
+        if case.output.boundary != "last":
+            self._boundaries.states = stored_states(before.data, "boundary_step", times[rows])
+        if case.stress is not None and case.stress.times != "last":
+            self._stresses.states[0] = stored_states(before.data, "stress_step", times[rows])
         if not self._stresses.states[0]:
             for name in (INFINITE_STRESS, INFINITE_AT_INTERFACE):
                 self._worst.measures.pop(name, None)
@@ -91,28 +244,33 @@ class Recorder:
         self.last, numbers = instant, instant.block.number
         stored = np.flatnonzero(instant.stored)
         if len(stored):
-            part = instant
+            some = instant
             if len(stored) < len(numbers):
-                some = (instant.block, instant.state, instant.stored, instant.ended)
-                part = Instant(*take(some, stored), instant.following)
-            self._worst(part)
-            self._fields(part)
-            self._rows(part)
+                parts = (instant.block, instant.state, instant.stored, instant.ended)
+                some = Instant(*take(parts, stored), instant.following)
+            self._store(some)
         for place in np.flatnonzero(instant.ended).tolist():
             self._ended[int(numbers[place])] = instant, place
         self._stepping = time.perf_counter() - self._started
         return False
 
-    def _fields(self, instant: Instant) -> None:
-        """Compute stresses and boundary fields of stored states, where cases ask for them."""
-        case = self._cases[0]
-        if case.stress is None and case.output.boundary == "none":
-            return
-        for place, number in enumerate(instant.block.number.tolist()):
-            state, before = moment(instant, place), float(self._rows.last_time[number])
-            self._boundaries(state, before)
-            for name, entries in self._stresses(number, state, before).items():
-                self._worst.take(name, np.array([number]), *np.array([entries]).T)
+    def _store(self, instant: Instant) -> None:
+        """Store new states, with the stresses and boundary fields that cases ask for."""
+        self._worst(instant)
+        case, number = self._cases[0], instant.block.number
+        if case.stress is not None or case.output.boundary != "none":
+            for place, history in enumerate(number.tolist()):
+                state, before = _moment(instant, place), float(self._last_time[history])
+                self._boundaries(state, before)
+                for name, entries in self._stresses(history, state, before).items():
+                    self._worst.take(name, np.array([history]), *np.array([entries]).T)
+        for name, values in _values(instant, self._rows).items():
+            self._rows[name].append(values)
+        for name, values in _values(instant, self._at_end).items():
+            if name not in self._last:
+                self._last[name] = np.full((len(self._cases), *values.shape[1:]), np.nan)
+            self._last[name][number] = values
+        self._last_time[number] = instant.state.time
 
     # -- what there is -----------------------------------------------------------------------------
 
@@ -120,6 +278,30 @@ class Recorder:
     def finished(self) -> bool:
         """Whether a single history has come to its end."""
         return 0 in self._ended
+
+    def _columns(
+        self, unstored: Instant | None = None
+    ) -> tuple[IntArray, dict[str, Any], dict[str, Any]]:
+        """Return all rows by history, see ``HistoryColumns``, and last values alone.
+
+        Parameters
+        ----------
+        unstored : the state that a single history has come to, if that is not stored.
+        """
+        rows, last = self._rows, self._last
+        if not rows["number"]:
+            return np.zeros(len(self._cases) + 1, np.int64), {}, {}
+        if unstored is not None:
+            rows = {name: [*rows[name], values] for name, values in _values(unstored, rows).items()}
+            last = _values(unstored, self._at_end)
+        order = np.argsort(np.concatenate(rows["number"]), kind="stable")
+        data = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
+        offsets = np.searchsorted(data["number"], np.arange(len(self._cases) + 1))
+        # of iterations those since the row before
+        made, firsts = data["contact_iterations"], offsets[:-1][np.diff(offsets) > 0]
+        data["contact_iterations"] = np.diff(made, prepend=0)
+        data["contact_iterations"][firsts] = made[firsts]
+        return offsets, data, last
 
     def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
         """Return all histories as they are stored.
@@ -129,20 +311,15 @@ class Recorder:
         failures : of histories that could not go on; they have the rows before.
         """
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
-        offsets, steps, data, last = self._rows.columns()
-        stresses = [self._stresses.arrays(number) for number in range(count)]
-        through = np.full((2, count), np.inf)
-        for number, (instant, place) in self._ended.items():
-            through[:, number] = instant.state.through[place]
-        whole = last | times_through(self._cases[0], through)
-        whole |= end_numbers(self._cases, data, offsets)
-        where = next((arrays for arrays in stresses if "point_r" in arrays), {})
-        if where:
-            sides = np.array([*map(POINT_SIDES.index, where["point_side"])], float)
-            points = {"point_r": where["point_r"], "point_z": where["point_z"], "point_side": sides}
-            whole |= {name: np.tile(values, (count, 1)) for name, values in points.items()}
+        offsets, data, whole = self._columns()
+        if data:
+            stresses = [self._stresses.arrays(number) for number in range(count)]
+            whole = whole | self._of_ends(offsets, data) | _points(stresses, count)
+            data |= stress_columns(stresses, data["time"], offsets)
         return HistoryColumns(
-            offsets, steps, data | stress_columns(stresses, data["time"], offsets), whole,
+            offsets,
+            {name: values for name, values in data.items() if name not in ("number", "step")},
+            whole,
             imbalance=np.where([i in failures for i in range(count)], 0.0, self._worst.imbalance),
             flags=tuple(
                 () if i in failures
@@ -153,6 +330,19 @@ class Recorder:
             status=tuple("failed" if i in failures else "done" for i in range(count)),
             reason=tuple(reason_of(failures[i]) if i in failures else "" for i in range(count)),
         )  # fmt: skip
+
+    def _of_ends(self, offsets: IntArray, data: Mapping[str, Any]) -> dict[str, FloatArray]:
+        """Return when layers were worn through, and numbers of laboratories at the ends, (B,)."""
+        through = np.full((2, len(self._cases)), np.inf)
+        for number, (instant, place) in self._ended.items():
+            through[:, number] = instant.state.through[place]
+        ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
+        numbers = laboratory_numbers(self._cases, np.arange(len(self._cases)), ends)
+        stored = np.diff(offsets) > 0
+        return {
+            **times_through(self._cases[0], through),
+            **{name: np.where(stored, values, np.nan) for name, values in numbers.items()},
+        }
 
     def _warnings(self) -> list[list[ValidityWarning]]:
         return warnings_of_histories(self._cases, self._worst.measures)
@@ -186,58 +376,58 @@ class Recorder:
         error : why the history cannot go on, "" where it can.
         """
         assert self.last is not None
-        is_stored = self.last.state.time[0] <= self._rows.last_time[0]
-        columns = self._rows.columns(None if is_stored else self.last)
-        return self._result(0, columns, self._warnings()[0], error)
+        is_stored = self.last.state.time[0] <= self._last_time[0]
+        (result,) = self.results({}, None if is_stored else self.last, error)
+        assert isinstance(result, Result)
+        return result
 
-    def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
-        """Return the results of all histories, or why there is none."""
+    def results(
+        self, failures: Mapping[int, Exception], unstored: Instant | None = None, error: str = ""
+    ) -> list[Result | Exception]:
+        """Return the results of all histories, or why there is none, see ``result``."""
         failures = {**self._stresses.failures, **failures}
-        columns = self._rows.columns()
-        return [
-            failures[i] if i in failures else self._result(i, columns, warnings)
-            for i, warnings in enumerate(self._warnings())
-        ]
+        offsets, data, last = self._columns(unstored)
+        data |= laboratory_numbers(self._cases, data.pop("number"), data)
+        results: list[Result | Exception] = []
+        for i, warnings in enumerate(self._warnings()):
+            if i in failures:
+                results.append(failures[i])
+                continue
+            of = {name: values[offsets[i] : offsets[i + 1]] for name, values in data.items()}
+            of |= {name: values[i] for name, values in last.items()}
+            of["line/edges"] = self._cases[i].line.edges
+            for body, ring in enumerate(self._cases[i].rings):
+                if ring.layers:
+                    of[f"layer_end_{BODIES[body]}"] = self._cases[i].layer_ends(body)
+                if not any(ring.densities):  # those of other cases may be known
+                    of.pop(f"mass_lost_{BODIES[body]}", None)
+            of |= {**self._stresses.arrays(i), **self._boundaries.arrays()}
+            worst = {name: values[:, i] for name, values in self._worst.measures.items()}
+            about = self._attributes(i, warnings, error)
+            results.append(Result(of, about, Checkpoint(self._end(i)[1], worst)))
+        return results
 
-    def _result(
-        self,
-        number: int,
-        columns: Columns,
-        warnings: Sequence[ValidityWarning],
-        error: str = "",
-    ) -> Result:
-        case, some = self._cases[number], slice(*columns.offsets[number : number + 2])
-        block, state = self._end(number)
+    def _attributes(
+        self, number: int, warnings: Sequence[ValidityWarning], error: str
+    ) -> dict[str, Any]:
+        """Return the attributes of a history."""
+        case, (block, state) = self._cases[number], self._end(number)
         balances = self._worst.balances(number)
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
             del balances["step_error"]
-        about = case_attributes(case, float(state.time[0]))
-        if limits := self._limits(number):
-            about["stopped_by"] = " and ".join(limits.values())
-
-        data: dict[str, Any] = {"step": columns.steps[some], "line/edges": case.line.edges}
-        data |= {name: values[some] for name, values in columns.data.items()}
-        data |= {name: values[number] for name, values in columns.last.items()}
-        for i, name in enumerate(LAYER_ENDS):
-            if case.rings[i].layers:
-                data[name] = case.layer_ends(i)
-        data |= {**self._stresses.arrays(number), **self._boundaries.arrays()}
-        through = times_through(case, state.through[0])
-        return Result(
-            data,
-            {
-                **about,
-                **{name: float(time) for name, time in through.items()},
-                "status": "complete" if number in self._ended else "incomplete",
-                "error": error,
-                "ranks": self._comm.size,
-                **self._seconds(block),
-                **{f"{BALANCE}{name}": value for name, value in balances.items()},
-                "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
-                "doubts": json.dumps([warning.to_dict() for warning in warnings]),
-            },
-            Checkpoint(state, {n: v[:, number] for n, v in self._worst.measures.items()}),
-        )
+        limits, through = self._limits(number), times_through(case, state.through[0])
+        return {
+            **case_attributes(case, float(state.time[0])),
+            **({"stopped_by": " and ".join(limits.values())} if limits else {}),
+            **{name: float(time) for name, time in through.items()},
+            "status": "complete" if number in self._ended else "incomplete",
+            "error": error,
+            "ranks": self._comm.size,
+            **self._seconds(block),
+            **{f"{BALANCE}{name}": value for name, value in balances.items()},
+            "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
+            "doubts": json.dumps([warning.to_dict() for warning in warnings]),
+        }
 
     def _seconds(self, block: Block) -> dict[str, float]:
         """Return the wall times so far by attribute, s, those of an interrupted run included.
@@ -245,17 +435,14 @@ class Recorder:
         Of several histories, those of one in the mean.
         """
         assert self.last is not None
-        elastic = np.zeros(2)
-        if not self._pair_is_shared:
-            elastic += block.line.pairs[0].seconds
-        if self.last.following is not None:
-            elastic += self.last.following.seconds
-        assembly, solution = elastic.tolist()
-        stepping = self._stepping / len(self._cases) - self.seconds_output - assembly - solution
+        pair, following = block.line.pairs[0], self.last.following
+        elastic = np.zeros(2) if self._pair_is_shared else pair.seconds
+        elastic = elastic if following is None else elastic + following.seconds
+        stepping = self._stepping / len(self._cases) - self.seconds_output - elastic.sum()
         seconds = {
-            "seconds_assembly": assembly,
-            "seconds_factorisation": solution,
+            "seconds_assembly": elastic[0],
+            "seconds_factorisation": elastic[1],
             "seconds_stepping": max(stepping, 0.0),
             "seconds_output": self.seconds_output,
         }
-        return {name: s + float(self._before.get(name, 0.0)) for name, s in seconds.items()}
+        return {name: float(s + self._before.get(name, 0.0)) for name, s in seconds.items()}

@@ -14,7 +14,7 @@ from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import BoundaryState
-from ringwear_par.errors import ComputationError, InputError, RingwearError, ValidityWarning
+from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
@@ -30,10 +30,7 @@ BALANCE = "balance_"
 
 
 class Outcome:
-    """What all outcomes show: a page, and in notebooks their summary and figure.
-
-    Each has ``summary()``, ``to_dict()``, ``plot()`` and ``save(path)``.
-    """
+    """What all outcomes show: a page, and in notebooks their summary and figure."""
 
     def summary(self) -> str:
         """Return a summary in a few lines, as the command prints it."""
@@ -85,13 +82,13 @@ class Result(Outcome):
     data : arrays by their names in ``variables.VARIABLES``, which has their axes, units and
         meanings; fields along the contact line may lack the axis of steps: those of the last.
     attributes : of the file: ``case`` (its TOML text), ``title``, ``status``, ``version``, ...
-    checkpoint : what a run goes on from, None where the result was made without.
+    checkpoint : what a run goes on from.
     path : of its file, None for a result in memory.
     """
 
     data: Mapping[str, Any]
     attributes: Mapping[str, Any]
-    checkpoint: Checkpoint | None = None
+    checkpoint: Checkpoint
     path: Path | None = None
 
     def __repr__(self) -> str:
@@ -117,14 +114,7 @@ class Result(Outcome):
 
     @property
     def last_state(self) -> State:
-        """The state that a run goes on from, as of a block of one.
-
-        Raises
-        ------
-        InputError : the result was stored without.
-        """
-        if self.checkpoint is None:
-            raise InputError(f"{self.name}: holds no last state; must be one of a run")
+        """The state that a run goes on from, as of a block of one."""
         return self.checkpoint.state
 
     @property
@@ -184,24 +174,14 @@ class Result(Outcome):
         return dict(json.loads(self.attributes["user_laws"]))
 
     def summary(self) -> str:
-        """Return it in a few lines, as ``ringwear run`` prints it.
-
-        Raises
-        ------
-        InputError : the result was stored without its last state.
-        """
-        from ringwear_par.results.summary import summary
+        """Return it in a few lines, as ``ringwear run`` prints it."""
+        from ringwear_par.results.key_numbers import summary
 
         return summary(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return title, status, warnings and key numbers with their units, as JSON can hold them.
-
-        Raises
-        ------
-        InputError : the result was stored without its last state.
-        """
-        from ringwear_par.results.summary import to_dict
+        """Return title, status, warnings and key numbers with their units, for JSON."""
+        from ringwear_par.results.key_numbers import to_dict
 
         return to_dict(self)
 
@@ -259,8 +239,6 @@ class HistoryColumns:
 
     #: (B + 1,) int
     offsets: IntArray
-    #: (rows,) int, steps made
-    steps: IntArray
     #: (rows, ...) each, by name, see ``variables``
     data: Mapping[str, Any]
     #: (B, ...) each, by name: numbers and, where they are stored alone, profiles at the ends; when
@@ -283,15 +261,7 @@ class HistoryColumns:
 
 def case_attributes(case: Case, time: float) -> dict[str, Any]:
     """Return the attributes of a case whose history has come to a time (s)."""
-    density: dict[str, Any] = {}
-    for body, ring in zip(BODIES, case.rings, strict=True):  # g/mm3, or NaN
-        if ring.density is not None:
-            density[f"density_{body}"] = ring.density
-        layers = [layer.density for layer in ring.layers]
-        if any(value is not None for value in layers):
-            values = (np.nan if value is None else value for value in layers)
-            density[f"density_{body}_layers"] = tuple(values)
-    return {
+    about: dict[str, Any] = {
         "case": case.stored_text,
         "title": case.title,
         **versions(),
@@ -300,31 +270,28 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "time_steps": case.time.steps,
         "time_end": case.time.end,
         "friction": mean(case.friction, 0.0, time or case.time.end),  # so far
-        # as texts: other attributes of HDF5 have room for 64 kB
-        **{
-            f"{name}_table": json.dumps(points_of(table))
-            for name, table in (("friction", case.friction), ("omega", case.load.omega))
-            if isinstance(table, Table)
-        },
         "nominal_area": case.area,  # mm2
         "mean_radius": case.mean_radius,  # mm
         "omega": in_time(case.load.omega, time),  # rad/s
-        **density,
-        **{
-            f"face_{body}": section.face_description
-            for body, section in zip(BODIES, case.sections, strict=True)
-            if section.face
-        },
         "user_laws": json.dumps(law_sources(case)),
-        **{
-            f"law_{body}": "" if law is None else law.describe()
-            for body, law in zip(BODIES, case.laws, strict=True)
-        },
         # whether worn volume is a constant times the friction energy, by layer, of a body
         "energy_identity": int(
             any(all(law.ratio(case.friction) for law in of.laws) for of in case.laws if of)
         ),
     }
+    for name, quantity in (("friction", case.friction), ("omega", case.load.omega)):
+        if isinstance(quantity, Table):  # as texts: other attributes of HDF5 have room for 64 kB
+            about[f"{name}_table"] = json.dumps(points_of(quantity))
+    for body, ring, section, law in zip(BODIES, case.rings, case.sections, case.laws, strict=True):
+        *layers, itself = np.array(ring.densities, dtype=float).tolist()  # g/mm3, or NaN
+        if not np.isnan(itself):
+            about[f"density_{body}"] = itself
+        if not np.isnan(layers).all():
+            about[f"density_{body}_layers"] = tuple(layers)
+        if section.face:
+            about[f"face_{body}"] = section.face_description
+        about[f"law_{body}"] = "" if law is None else law.describe()
+    return about
 
 
 def times_through(case: Case, through: FloatArray) -> dict[str, FloatArray]:

@@ -1,4 +1,4 @@
-"""``ringwear run``: a case from its file to its result file, gone on with where it was stopped."""
+"""From a case to its result: ``rw.simulate``, and ``ringwear run``, whose files it goes on with."""
 
 import logging
 import shlex
@@ -6,27 +6,28 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, nullcontext
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.case import SAME_TIME, Case, Output
+from ringwear_par.cases.case import SAME_TIME, Case, need_case
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.plausible import implausible_numbers
+from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError, counted
 from ringwear_par.files.writing import announce_replacement, check_writable
+from ringwear_par.history.elastic import operator_key
 from ringwear_par.history.loop import Instant, simulate_one
 from ringwear_par.history.refusals import check_case
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.results.files import open_result, write_result
-from ringwear_par.results.progress import Progress
+from ringwear_par.results.key_numbers import labelled
+from ringwear_par.results.progress import Progress, StopSignals, name_of
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import Result
-from ringwear_par.results.signals import StopSignals, name_of
-from ringwear_par.results.summary import labelled
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
@@ -37,14 +38,51 @@ CHECKPOINT_SECONDS = 30.0
 _ENDINGS = (".h5", ".hdf5", ".nc")
 
 
-class Figure(Protocol):
-    """A picture that is drawn of a result file."""
+def simulate(
+    case: Case,
+    comm: MPI.Comm | None = None,
+    *,
+    pair: ContactPair | None = None,
+) -> Result:
+    """Return the wear history of a case.
 
-    def check(self, stored: Output | None) -> None:
-        """Refuse a picture that cannot be written, or drawn from what a case stores."""
+    Collective on comm, the world's where none is given; the same on all ranks.
 
-    def draw(self, results: Path) -> None:
-        """Draw and write it."""
+    Parameters
+    ----------
+    case : the case, see ``read_case``.
+    pair : what ``assemble`` made of a case of the same shape, mesh, Poisson's ratios and grip, to
+        be used again; None: it is assembled. With ``geometry = "updated"`` numbers may differ in
+        the last digits between both.
+
+    Returns
+    -------
+    Result : ``.histories`` over time, ``.profiles`` over time and radius, ``.doubts``.
+
+    Raises
+    ------
+    InputError : no case, a law that is none, a mesh or a memory that cannot be, bodies that
+        interpenetrate, a pair of another shape.
+    ComputationError : a step failed; it is named with its time.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> result = rw.simulate(rw.read_case("scripts/cases/paper.toml"))
+    >>> print(f"{1e3 * result.histories['penetration'][-1]:.2f} um")
+    9.73 um
+    """
+    need_case(case, "simulate")
+    comm = MPI.COMM_WORLD if comm is None else comm
+    on_first_rank(comm, lambda: check_case(case, comm.size, "case"))
+    if pair is not None and pair.key != operator_key(case):
+        raise InputError(
+            "pair: was assembled for another shape, mesh, Poisson's ratio or grip; must be "
+            "assemble(case) of a case that shares them"
+        )
+    recorder = Recorder([case], comm, pair_is_shared=pair is not None)
+    simulate_one(case, comm, recorder, pair=pair)
+    return recorder.result()
 
 
 def run_case(
@@ -55,7 +93,7 @@ def run_case(
     comm: MPI.Comm,
     restart: bool = False,
     overwrite: bool = False,
-    figure: Figure | None = None,
+    figure: Any = None,
 ) -> None:
     """Compute a wear history, write it, and print what came of it. Collective on comm.
 
@@ -66,24 +104,29 @@ def run_case(
     overrides : ``KEY=VALUE`` texts.
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
-    figure : picture to be drawn at the end.
+    figure : picture to be drawn at the end, see ``pictures.figures.FigureFile``.
 
     Raises
     ------
     InputError : the case, the options or the output, before any work and with nothing written.
     ComputationError : a step failed, the run was stopped, or the result could not be written.
     """
-    first = comm.rank == 0
-    case, before = on_first_rank(
-        comm, lambda: _checked(path, output, overrides, restart, overwrite, figure, comm.size)
-    )
+
+    def checked() -> tuple[Case, Result | None]:
+        case = read_case(path, overrides)
+        check_case(case, comm.size, str(path))
+        if figure is not None:
+            figure.check(case.output)
+        return case, _interrupted(path, output, case, restart, overwrite)
+
+    case, before = on_first_rank(comm, checked)
     if before is None or not _is_at_end(case, before):
-        if first:
+        if comm.rank == 0:
             warn_of_threads(comm.size)
             if before is None and not overwrite:
                 announce_replacement(output)
-        _compute(Run(case, output, before, comm), path)
-    elif first:
+        Run(case, path, output, before, comm).compute()
+    elif comm.rank == 0:
         limit = before.attributes.get("stopped_by")
         early = f" since it reached {limit}, which may grow" if limit else ""
         log.info("%s is complete%s: nothing to compute", output, early)
@@ -91,24 +134,7 @@ def run_case(
         on_first_rank(comm, lambda: figure.draw(output))
 
 
-# -- before any work -------------------------------------------------------------------------------
-
-
-def _checked(
-    path: Path,
-    output: Path,
-    overrides: Sequence[str],
-    restart: bool,
-    overwrite: bool,
-    figure: Figure | None,
-    ranks: int,
-) -> tuple[Case, Result | None]:
-    """Return the case, and the result of the run that it goes on with, if any. On one rank."""
-    case = read_case(path, overrides)
-    check_case(case, ranks, str(path))
-    if figure is not None:
-        figure.check(case.output)
-    return case, _interrupted(path, output, case, restart, overwrite)
+# -- what a run goes on with -----------------------------------------------------------------------
 
 
 def _interrupted(
@@ -136,17 +162,16 @@ def _interrupted(
         raise InputError(
             f"{error}; must be one (--restart), another name, or be replaced by --overwrite"
         ) from error
-    about = before.attributes
-    if not restart and (about["status"] == "complete" or about["error"]):
-        return None
-    if not restart:
+    if restart:
+        if fault := _difference(before, case):
+            raise InputError(f"{output}: {fault}")
+        return before
+    if before.attributes["status"] != "complete" and not before.attributes["error"]:
         raise InputError(
             f"{output}: holds a run that was interrupted after step {before.step[-1]}; --restart "
             "continues it, --overwrite starts anew"
         )
-    if fault := _difference(before, case):
-        raise InputError(f"{output}: {fault}")
-    return before
+    return None
 
 
 def _difference(before: Result, case: Case) -> str:
@@ -154,8 +179,8 @@ def _difference(before: Result, case: Case) -> str:
 
     Keys are compared as they are written, since to read a stored case is to run the laws in it.
     """
-    growing = "time.end" if case.time.adaptive else "time.steps"
-    if (version := before.attributes["version"]) != __version__:
+    reached, version = float(before.last_state.time[0]), before.attributes["version"]
+    if version != __version__:
         return f"was computed by version {version}, this is {__version__}; --restart needs the same"
     if before.user_laws != law_sources(case):
         return (
@@ -163,11 +188,11 @@ def _difference(before: Result, case: Case) -> str:
             "needs the same"
         )
     if _keys(before.case) != _keys(case.stored_text):
+        growing = "time.end" if case.time.adaptive else "time.steps"
         return (
             f"holds another case; --restart needs the same case, only {growing} and limits in "
             "[stop] may change"
         )
-    reached = float(before.last_state.time[0])
     if reached > case.time.end * (1.0 + SAME_TIME):
         return (
             f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
@@ -194,108 +219,111 @@ def _keys(text: str, *, limits: bool = False) -> dict[str, Any]:
 
 
 class Run:
-    """A history under way and its file: takes states, and lets ranks meet after every step.
+    """A history under way and its file.
 
-    They write a checkpoint where one is due, and stop where one of them has received a signal: from
-    the first state on after a step, before it at once. Calls are collective on comm, and answered
-    alike on all ranks.
+    Ranks meet after every step: they write a checkpoint where one is due, and stop where one of
+    them has received a signal: from the first state on after a step, before it at once. Calls are
+    collective on comm, and answered alike on all ranks.
 
     Parameters
     ----------
+    path : of the case, as messages have it.
     before : result of the interrupted history that continues; None: it starts.
     """
 
-    def __init__(self, case: Case, output: Path, before: Result | None, comm: MPI.Comm) -> None:
-        self.case, self.output, self.comm = case, output, comm
-        self.recorder = Recorder([case], comm, before)
-        self.signals = StopSignals()
-        since = 0.0 if before is None else float(before.last_state.time[0])
-        self.progress = Progress(case.time.end, since) if comm.rank == 0 else None
+    def __init__(
+        self, case: Case, path: Path, output: Path, before: Result | None, comm: MPI.Comm
+    ) -> None:
+        self._case, self._path, self._output, self._comm = case, path, output, comm
+        self._recorder, self._signals = Recorder([case], comm, before), StopSignals()
+        start = self._recorder.first
+        self._progress: Progress | None = None
+        if comm.rank == 0:
+            self._progress = Progress(case.time.end, 0.0 if start is None else float(start.time[0]))
         #: the signal that the ranks agreed to stop for, or 0
-        self.agreed = 0
+        self._agreed = 0
         #: when the last checkpoint was tried, and whether it was written
         self._saved, self._written = time.perf_counter(), True
 
+    def compute(self) -> None:
+        """Step to the end or to a signal, write it, and print what came of it. Collective."""
+        output, recorder, first = self._output, self._recorder, self._comm.rank == 0
+        if (start := recorder.first) is not None and first:
+            log.info("continuing %s after step %d (%g s)", output, start.steps[0], start.time[0])
+        with ExitStack() as cleanup:
+            cleanup.push(self._signals)  # which take over with the first state
+            try:
+                with closing(self._progress) if self._progress is not None else nullcontext():
+                    simulate_one(self._case, self._comm, self, first=start, every=True)
+            except RingwearError as error:
+                self._fail(error)
+            result = self._save()
+            if first:
+                file, page = (shlex.quote(str(p)) for p in (output, output.with_suffix(".html")))
+                report = f"ringwear report {file} -o {page}"
+                after = report if recorder.finished else "the same command with --restart"
+                written = f"{output} ({counted(len(result.step), 'state')})"
+                print(
+                    result.summary(), *labelled([("written", written), ("next", after)]), sep="\n"
+                )
+            with together(self._comm):
+                if not recorder.finished:
+                    raise ComputationError(
+                        f"stopped by {name_of(self._agreed)} after step {result.step[-1]} (at "
+                        f"{result.data['time'][-1]:g} of {self._case.time.end:g} s); {output} "
+                        "holds the steps so far, and the same command with --restart continues"
+                    )
+
     def __call__(self, instant: Instant) -> bool:
         """Take a new state; return whether to stop after it. Collective."""
-        if self.recorder.last is None:
-            self.signals.__enter__()
-        self.recorder(instant)
+        if self._recorder.last is None:
+            self._signals.__enter__()
+        self._recorder(instant)
         state = instant.state
-        if self.progress is not None:
-            self.progress.show(
+        if self._progress is not None:
+            self._progress.show(
                 float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
-                state.steps[0], state.time[0], self.case.time.end, state.approach[0],
+                state.steps[0], state.time[0], self._case.time.end, state.approach[0],
             )  # fmt: skip
         if not state.steps[0]:
             return False
-        due = self.comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
-        request = np.array([self.signals.received, due], dtype=np.int64)
-        self.comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
-        self.agreed = int(request[0])
-        if request[1] and not self.agreed and not instant.ended.all():
+        due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
+        request = np.array([self._signals.received, due], dtype=np.int64)
+        self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
+        self._agreed = int(request[0])
+        if request[1] and not self._agreed and not instant.ended.all():
             try:
-                self.save()
+                self._save()
                 self._written = True
             except ComputationError as error:
-                if self._written and self.comm.rank == 0:
+                if self._written and self._comm.rank == 0:
                     log.warning("checkpoint not written, going on: %s", error)
                 self._written = False
             self._saved = time.perf_counter()
-        return self.agreed != 0
+        return self._agreed != 0
 
-    def save(self, error: str = "") -> Result:
+    def _save(self, error: str = "") -> Result:
         """Write the history so far. Collective."""
         begun = time.perf_counter()
-        result = self.recorder.result(error)
-        on_first_rank(self.comm, lambda: write_result(self.output, result))
-        self.recorder.seconds_output += time.perf_counter() - begun
+        result = self._recorder.result(error)
+        on_first_rank(self._comm, lambda: write_result(self._output, result))
+        self._recorder.seconds_output += time.perf_counter() - begun
         return result
 
-
-def _compute(run: Run, path: Path) -> None:
-    """Step a history to its end or to a signal, write it, and print what came of it. Collective."""
-    output, recorder, first = run.output, run.recorder, run.comm.rank == 0
-    if (start := recorder.first) is not None and first:
-        steps, reached = start.steps[0], start.time[0]
-        log.info("continuing %s after step %d (%g s)", output, steps, reached)
-    with ExitStack() as cleanup:
-        cleanup.push(run.signals)
-        try:
-            with closing(run.progress) if run.progress is not None else nullcontext():
-                simulate_one(run.case, run.comm, run, first=start, every=True)
-        except RingwearError as error:
-            _failed(run, path, error)
-        result = run.save()
-        if first:
-            file, page = (shlex.quote(str(p)) for p in (output, output.with_suffix(".html")))
-            report = f"ringwear report {file} -o {page}"
-            after = report if recorder.finished else "the same command with --restart"
-            written = f"{output} ({counted(len(result.step), 'state')})"
-            print(result.summary(), *labelled([("written", written), ("next", after)]), sep="\n")
-        with together(run.comm):
-            if not recorder.finished:
-                raise ComputationError(
-                    f"stopped by {name_of(run.agreed)} after step {result.step[-1]} (at "
-                    f"{result.data['time'][-1]:g} of {run.case.time.end:g} s); {output} holds the "
-                    "steps so far, and the same command with --restart continues"
-                )
-
-
-def _failed(run: Run, path: Path, error: RingwearError) -> NoReturn:
-    """Write the steps before one that failed, if there are any, and raise its error. Collective."""
-    for warning in implausible_numbers(run.case) if run.comm.rank == 0 else ():
-        if f"{warning.keys[0]} = " not in str(error):
-            log.warning("%s: %s", path, warning.text)
-    if isinstance(error, UnfitError):
-        raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
-    last = run.recorder.last
-    if isinstance(error, InputError):
-        raise error
-    if last is None or not last.state.steps[0]:
-        raise ComputationError(f"{path}: {error}") from error
-    run.save(str(error))
-    raise ComputationError(
-        f"{path}: {error}. {run.output} holds the steps before it: ringwear plot and report show "
-        "how it came to that"
-    ) from error
+    def _fail(self, error: RingwearError) -> NoReturn:
+        """Write the steps before one that failed, if there are any; raise its error. Collective."""
+        path, last = self._path, self._recorder.last
+        for warning in implausible_numbers(self._case) if self._comm.rank == 0 else ():
+            if f"{warning.keys[0]} = " not in str(error):
+                log.warning("%s: %s", path, warning.text)
+        if isinstance(error, UnfitError):
+            raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
+        if isinstance(error, InputError):
+            raise error
+        if last is None or not last.state.steps[0]:
+            raise ComputationError(f"{path}: {error}") from error
+        self._save(str(error))
+        raise ComputationError(
+            f"{path}: {error}. {self._output} holds the steps before it: ringwear plot and report "
+            "show how it came to that"
+        ) from error

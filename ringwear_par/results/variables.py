@@ -1,18 +1,21 @@
-"""The variables of results: one table that recorder, files, tables and ensembles read.
+"""The variables of results: the table ``variables.csv``, for recorder, files, tables, ensembles.
 
 Depths of wear are losses, so never negative: vertically downward for lower, upward for upper, also
 where faces slope. Pressure is normal to the faces.
 """
 
+import csv
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import COMPONENTS, FACES, SIDES
+from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES
 
 if TYPE_CHECKING:
     import xarray
@@ -72,29 +75,14 @@ def to_dataset(
     return dataset.set_coords(coordinates)
 
 
-def _table(*rows: Sequence[str]) -> dict[str, Variable]:
-    """Return variables by their places in a file, see ``VARIABLES``.
+# -- axes ------------------------------------------------------------------------------------------
 
-    Parameters
-    ----------
-    rows : place, axes, unit and meaning of each; "int" after them, of whole numbers.
-    """
-    return {
-        place: Variable(
-            place[place.rfind("/") + 1 :], tuple(axes.split()), unit, meaning, bool(kind)
-        )
-        for place, axes, unit, meaning, *kind in rows
-    }
-
-
-def _of_bodies(*rows: Sequence[str]) -> dict[str, Variable]:
-    """Return variables of lower, which these rows are of, and the same ones of upper."""
-    both: list[Sequence[str]] = []
-    for place, axes, *rest in rows:
-        other = " ".join("layer_upper" if axis == "layer" else axis for axis in axes.split())
-        both.append((place, axes, *rest))
-        both.append([text.replace("lower", "upper") for text in (place, other, *rest)])
-    return _table(*both)
+#: components of vectors; of places the first two
+DIRECTIONS = ("r", "z", "theta")
+#: entries of axes that are words
+WORDS = {"component": COMPONENTS, "side": SIDES, "plane": DIRECTIONS[:2], "direction": DIRECTIONS}
+#: how the blocks of a sweep number sides
+POINT_SIDES = ("", *SIDES)
 
 
 def axis(name: str) -> Variable:
@@ -103,140 +91,49 @@ def axis(name: str) -> Variable:
     return Variable(name, (name,), "1", meaning, integer=name not in WORDS)
 
 
-#: components of vectors; of places the first two
-DIRECTIONS = ("r", "z", "theta")
-#: entries of axes that are words
-WORDS = {"component": COMPONENTS, "side": SIDES, "plane": DIRECTIONS[:2], "direction": DIRECTIONS}
 ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
-# fmt: off
-_AXES = _table(
-    ("step", "step", "1", "number of time steps made", "int"),
-    ("line/edges", "edge", "mm", "radius of the end of a contact element"),
-    ("checkpoint/state", "state", "1", "state that the history goes on from, as an .npz file",
-     "int"),
-)
-#: the contact line
-LINE = _table(
-    ("r", "element", "mm", "radius of the element's mid-point"),
-    ("width", "element", "mm", "radial length of the element"),
-)
+
+# -- the table -------------------------------------------------------------------------------------
+
+
+def _groups() -> dict[str, dict[str, Variable]]:
+    """Return the variables of the table by group, and by their places in a file."""
+    groups: dict[str, dict[str, Variable]] = defaultdict(dict)
+    with Path(__file__).with_name("variables.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            name, axes = row["place"].rpartition("/")[2], tuple(row["axes"].split())
+            variable = Variable(name, axes, row["unit"], row["meaning"], row["type"] == "int")
+            groups[row["group"]][row["place"]] = variable
+    return groups
+
+
+_GROUPS = _groups()
 #: numbers at each stored state
-HISTORIES = _table(
-    ("time", "step", "s", "time"),
-    ("approach", "step", "mm", "downward displacement of the upper ring's top"),
-    ("penetration", "step", "mm", "penetration depth: approach since the start"),
-    ("force", "step", "N", "axial contact force"),
-    ("torque", "step", "N mm", "friction torque"),
-    ("twist", "step", "mm", "area mean of the circumferential displacement jump"),
-    *((f"worn_volume_{body}", "step", "mm3", f"volume lost by the {body} ring") for body in BODIES),
-    ("dissipated_energy", "step", "N mm", "energy dissipated by friction"),
-    ("normal_work", "step", "N mm", "contact pressure times sliding distance, over the contact"),
-    ("contact_iterations", "step", "1",
-     "iterations of the contact solver since the last stored step", "int"),
-)
-#: fields along the contact line at each stored state, or at the last one (``at_last_step``)
-PROFILES = _table(
-    ("pressure", "step element", "MPa",
-     "contact pressure, normal to the faces, mean over the element"),
-    ("gap", "step element", "mm",
-     "gap between the deformed profiles at the element's mid-point, along the axis"),
-    *((f"wear_{body}", "step element", "mm",
-       f"depth worn off the {body} ring at the element's mid-point, along the axis")
-      for body in BODIES),
-)
+HISTORIES = _GROUPS["history"]
+#: the contact line, and fields along it at each stored state or at the last (``at_last_step``)
+LINE, PROFILES = _GROUPS["line"], _GROUPS["profile"]
 #: of every pressure that is stored, see ``edge_elements``
-EDGE_ELEMENT = Variable(
-    "edge_element", ("step", "element"), "1",
-    "1: the element is beside an edge of contact that can move (the last closed or the first open "
-    "one), 0: it is not", integer=True,
-)
-
-#: of bodies with layers: at each stored state, ...
-LAYER_HISTORIES = _of_bodies(
-    ("share_through_lower", "step", "1",
-     "share of the contact area where all layers of the lower ring are worn through"),
-)
-#: ... by layer, ...
-LAYER_VOLUMES = _of_bodies(
-    ("worn_volume_lower_layers", "step layer", "mm3",
-     "volume lost by each layer of the lower ring, and by the ring itself"),
-)
-#: ... and along the contact line, as ``PROFILES``
-LAYER_PROFILES = _of_bodies(
-    ("layer_left_lower", "step element", "mm",
-     "thickness left of all layers of the lower ring, along the axis"),
-)
+EDGE_ELEMENT = _GROUPS["edge"]["edge_element"]
+#: of bodies with layers: at each stored state, by layer, and along the contact line as ``PROFILES``
+LAYER_HISTORIES, LAYER_VOLUMES = _GROUPS["layer history"], _GROUPS["layer volume"]
+LAYER_PROFILES = _GROUPS["layer profile"]
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
-#: along the contact line, the same at all states
-LAYER_ENDS = _of_bodies(
-    ("layer_end_lower", "interface_lower element", "mm",
-     "depth of the end of each layer of the lower ring below its unworn face, along the axis"),
-)
+FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: of a history, s; an attribute of its file
-TIMES_THROUGH = _of_bodies(
-    ("time_through_lower", "", "s",
-     "when wear first got through all layers of the lower ring; none if it has not"),
-)
-
-_TENSOR = "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
-#: how the blocks of a sweep number sides
-POINT_SIDES = ("", *SIDES)
-POINTS = _table(
-    ("point_r", "point", "mm", "radius of the point"),
-    ("point_z", "point", "mm", "height of the point"),
-    ("point_side", "point", "1",
-     "side of the face or interface that the point lies on, as in stress.points"),
-)
-POINT_SIDE = POINTS["point_side"]
-
-
-def _largest_of(place: str, bodies: str) -> dict[str, Variable]:
-    """Return the variables of the largest stress of bodies."""
-    return _table(
-        (place, "stress_step", "MPa", f"largest von Mises stress of {bodies}"),
-        (f"{place}_r", "stress_step", "mm", "radius at which it is"),
-        (f"{place}_z", "stress_step", "mm", "height at which it is"),
-        (f"{place}_layer", "stress_step", "1",
-         "layer that it is in, from the contact face on; the last is the body itself", "int"),
-    )
-
-
-_MAX_MISES = _largest_of("max_mises", "both rings")
+TIMES_THROUGH = _GROUPS["time through"]
+#: what laboratories report; the first two follow from the state alone
+SLIDING = _GROUPS["sliding"]
+LABORATORY_NUMBERS = {**_GROUPS["laboratory"], **SLIDING}
 #: stresses and where they are, at the states that cases ask for
-STRESSES = {
-    **_table(
-        ("stress_time", "stress_step", "s", "time"),
-        ("stress_steps_made", "stress_step", "1", "number of time steps made", "int"),
-        ("stress_exclude", "", "mm",
-         "radius round edges, within which no largest stress is looked for"),
-        ("principal", "stress_step point principal_value", "MPa",
-         "principal stresses, the largest first"),
-        ("grid_r", "grid_r", "mm", "radius of the grid"),
-        ("grid_z", "grid_z", "mm", "height of the grid"),
-        ("stress", "stress_step point component", "MPa", f"stress {_TENSOR}"),
-        ("mises", "stress_step point", "MPa", "von Mises stress"),
-        ("max_shear", "stress_step point", "MPa", "largest shear stress"),
-        ("stress_grid", "stress_step grid_r grid_z component", "MPa", f"stress {_TENSOR}"),
-        ("mises_grid", "stress_step grid_r grid_z", "MPa", "von Mises stress"),
-        ("max_shear_grid", "stress_step grid_r grid_z", "MPa", "largest shear stress"),
-    ),
-    **POINTS, **_MAX_MISES,
-    **_largest_of("max_mises_lower", "the lower ring"),
-    **_largest_of("max_mises_upper", "the upper ring"),
-    **_of_bodies(
-        ("surface_stress_lower", "stress_step element component", "MPa",
-         f"stress of the lower ring at its contact face {_TENSOR}"),
-        ("interface_r_lower", "interface_element_lower", "mm", "radius of the element's mid-point"),
-        ("interface_z_lower", "interface_lower", "mm", "height of the interface, unworn"),
-        ("interface_stress_lower",
-         "stress_step interface_lower side interface_element_lower component", "MPa",
-         f"stress on both sides of the interfaces of the lower ring {_TENSOR}"),
-        ("interface_mises_lower", "stress_step interface_lower side interface_element_lower",
-         "MPa", "von Mises stress on both sides of the interfaces of the lower ring"),
-        ("max_mises_lower_layers", "stress_step layer", "MPa",
-         "largest von Mises stress in each layer of the lower ring, and in the ring itself"),
-    ),
-}
+STRESSES = _GROUPS["stress"]
+POINTS = {name: STRESSES[name] for name in ("point_r", "point_z", "point_side")}
+POINT_SIDE = POINTS["point_side"]
+#: all variables of a result by their places in its file; groups have axes of their own
+VARIABLES = {
+    **_GROUPS["axis"], **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
+    **LAYERS, **_GROUPS["layer end"], **STRESSES, **LABORATORY_NUMBERS,
+    **{f"boundary/{body}/{name}": v for body in BODIES for name, v in _GROUPS["boundary"].items()},
+}  # fmt: skip
 
 
 def _at_stored_states(*names: str) -> dict[str, Variable]:
@@ -246,49 +143,9 @@ def _at_stored_states(*names: str) -> dict[str, Variable]:
 
 
 #: what sweeps store, at the stored states that stress is asked for of: the largest, and points
-LARGEST_STRESS = _at_stored_states(*_MAX_MISES)
+LARGEST_STRESS = _at_stored_states(*(f"max_mises{end}" for end in ("", "_r", "_z", "_layer")))
 LAYER_STRESS = _at_stored_states("max_mises_lower_layers", "max_mises_upper_layers")
 POINT_STRESS = _at_stored_states("mises", "max_shear")
-
-#: the fields on the whole boundary of a body, in a group with axes of its own
-BOUNDARY = _table(
-    ("time", "boundary_step", "s", "time"),
-    ("steps_made", "boundary_step", "1", "number of time steps made", "int"),
-    ("nodes", "boundary_step boundary_node plane", "mm", "nodes of the worn, undeformed body"),
-    ("elements", "boundary_element corner", "1",
-     "first, middle and last node of an element; its outward normal lies to the right", "int"),
-    ("face", "boundary_element", "1",
-     "face of the body: " + ", ".join(f"{i} {name}" for i, name in enumerate(FACES)), "int"),
-    ("displacement", "boundary_step boundary_node direction", "mm", "displacement"),
-    ("traction", "boundary_step boundary_element direction", "MPa", "traction"),
-    ("pressure", "boundary_step boundary_element", "MPa", "contact pressure, 0 elsewhere"),
-    ("wear", "boundary_step boundary_element", "mm",
-     "worn depth along the axis, 0 off the contact"),
-)
-#: what laboratories report, which follows from the rest: mass lost, rates of wear, distance, p V
-LABORATORY_NUMBERS = {
-    **_of_bodies(
-        ("mass_lost_lower", "step", "mg",
-         "mass lost by the lower ring, by its density; nothing where that is not given"),
-        ("mean_wear_rate_lower", "step", "um/h",
-         "mean rate of wear of the lower ring since the start: volume over contact area and time"),
-        ("specific_wear_rate_lower", "step", "mm3/(N m)",
-         "specific wear rate of the lower ring since the start: volume over force and distance"),
-    ),
-    **_table(
-        ("sliding_distance", "step", "m", "sliding distance at the mean radius"),
-        ("pressure_velocity", "step", "MPa m/s",
-         "p V: mean pressure on the nominal area times speed at the mean radius"),
-    ),
-}
-# fmt: on
-
-#: all variables of a result by their places in its file; groups have axes of their own
-VARIABLES = {
-    **_AXES, **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
-    **LAYERS, **LAYER_ENDS, **STRESSES, **LABORATORY_NUMBERS,
-    **{f"boundary/{body}/{name}": v for body in BODIES for name, v in BOUNDARY.items()},
-}  # fmt: skip
 #: coordinates that are no dimensions
 COORDINATES = (
     "time", *LINE, "stress_time", *POINTS,

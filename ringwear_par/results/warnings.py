@@ -69,33 +69,23 @@ def _of_case(case: Case) -> Iterator[ValidityWarning]:
             f"the unloaded faces are {gap:.4g} mm apart (lower.z ends at {lower.z[1]:g} mm, "
             f"upper.z begins at {upper.z[0]:g} mm): {text}",
         )
-    if (corner := _missed_corner(case)) is not None:
-        time, load, straight = corner
+    load = case.load.displacement if case.load.force is None else case.load.force
+    if case.time.adaptive or not isinstance(load, Table):
+        return
+    ends = case.time.step * np.arange(case.time.steps + 1)
+    x, y = np.array(load.x), np.array(load.y)
+    straight = np.interp(x, ends, load(ends))  # what steps have at its corners
+    missed = np.where((x > 0.0) & (x < case.time.end), np.abs(y - straight), 0.0)
+    i = int(missed.argmax())
+    if missed[i] > _SLIGHT_MISS * np.ptp(y):
         noun, unit = ("force", "N") if case.load.displacement is None else ("displacement", "mm")
         yield ValidityWarning(
             "missed_corner",
-            f"steps of {case.time.step:g} s pass over the corner of the load at t = {time:g} s: "
-            f"the {noun} there is {load:.6g} {unit}, but {straight:.6g} {unit} on the straight "
+            f"steps of {case.time.step:g} s pass over the corner of the load at t = {x[i]:g} s: "
+            f"the {noun} there is {y[i]:.6g} {unit}, but {straight[i]:.6g} {unit} on the straight "
             "line between the ends of the step. Choose time.step so that a step ends there, or "
             'time.scheme = "adaptive"',
         )
-
-
-def _missed_corner(case: Case) -> tuple[float, float, float] | None:
-    """Return the corner of the load's table that fixed steps miss most, None if they miss none.
-
-    That is its time (s), the load there (N or mm), and what steps have there.
-    """
-    load = case.load.displacement if case.load.force is None else case.load.force
-    if case.time.adaptive or not isinstance(load, Table):
-        return None
-    ends = case.time.step * np.arange(case.time.steps + 1)
-    x, y = np.array(load.x), np.array(load.y)
-    straight = np.interp(x, ends, load(ends))
-    missed = np.where((x > 0.0) & (x < case.time.end), np.abs(y - straight), 0.0)
-    i = int(missed.argmax())
-    slight = missed[i] <= _SLIGHT_MISS * np.ptp(y)
-    return None if slight else (float(x[i]), float(y[i]), float(straight[i]))
 
 
 def _height(case: Case) -> float:

@@ -20,7 +20,7 @@ from ringwear_par.cases.schema import quantity_label
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results import variables
-from ringwear_par.results.hdf5 import reading
+from ringwear_par.results.files import reading
 from ringwear_par.results.variables import HISTORIES, LABORATORY_NUMBERS, Variable
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.files.text import toml_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
-from ringwear_par.results.hdf5 import UnreadableError, atomic_hdf5, reading
+from ringwear_par.results.files import UnreadableError, atomic_hdf5, reading
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import ELEMENT, LINE, Variable, edge_elements
 from ringwear_par.studies import ensemble

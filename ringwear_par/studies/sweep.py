@@ -21,7 +21,7 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
 from ringwear_par.files.folders import check_folder
 from ringwear_par.parallel import on_first_rank, peak_memory, together, warn_of_threads
-from ringwear_par.results.hdf5 import reading
+from ringwear_par.results.files import reading
 from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags

@@ -52,7 +52,7 @@ PLACES = {
     "reports.spreadsheets": "export",
     "results.recorder": "Recorder",
     "results.run": "run_case",
-    "results.signals": "StopSignals",
+    "results.progress": "StopSignals",
     "results.key_numbers": "key_numbers",
     "results.variables": "HISTORIES PROFILES edge_elements",
     "schedules": "Table bends in_time integral",

@@ -33,8 +33,8 @@ from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.key_panels import design_panels
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.style import picture
+from ringwear_par.results.progress import StopSignals
 from ringwear_par.results.result import Outcome
-from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
