@@ -20,8 +20,8 @@ from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.solution import solve
 from ringwear_par.parallel import on_first_rank, warn_of_threads
-from ringwear_par.results.result import Outcome
 from ringwear_par.results.progress import StopSignals
+from ringwear_par.results.result import Outcome
 
 log = logging.getLogger(__name__)
 

@@ -23,7 +23,6 @@ from ringwear_par.results.key_numbers import (
     checks,
     early_end,
     key_numbers,
-    time_words,
     warnings_of,
 )
 from ringwear_par.results.result import Result

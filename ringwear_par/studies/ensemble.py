@@ -171,6 +171,12 @@ def meaning_of(name: str) -> str:
     return f"{variable.meaning}; {entry}" if entry else variable.meaning
 
 
+def is_smooth(name: str) -> bool:
+    """Tell whether a column is no place of the largest stress, which jumps, and no rate."""
+    column, variable, _ = end_value_of(name)
+    return column not in LABORATORY_NUMBERS and (column not in STRESS or variable.unit == "MPa")
+
+
 # -- reading ---------------------------------------------------------------------------------------
 
 

@@ -45,10 +45,7 @@ _STEP_SECONDS, _MOVING_STEP_SECONDS, _BLOCK_SECONDS = 5e-6, 5e-2, 10.0
 
 
 def simulate_all(
-    cases: Sequence[Case],
-    comm: MPI.Comm | None = None,
-    *,
-    batch: int | None = None,
+    cases: Sequence[Case], comm: MPI.Comm | None = None, *, batch: int | None = None
 ) -> list[Result | FailedResult]:
     """Return the wear histories of many cases, in their order.
 
@@ -118,45 +115,43 @@ def results_of(
         blocks += [numbers[i : i + (batch or most)] for i in range(0, len(numbers), batch or most)]
     pairs: dict[Hashable, ContactPair] = {}
 
-    def computed_block(numbers: Sequence[int]) -> list[Result | FailedResult]:
+    def checked(case: Case | RingwearError) -> Case | Exception:
+        try:
+            if isinstance(case, Case):  # its contact pair is checked with its mesh
+                check_case(case, 1, "case", known_mesh=True)
+        except Exception as error:
+            return error
+        return case
+
+    def computed_block(numbers: Sequence[int]) -> dict[int, Result | FailedResult]:
         """Return the results of cases of a contact pair, by this rank alone."""
         for key in [*pairs][:-1]:  # blocks of the last one may follow
             del pairs[key]
         parts, errors = computed(
-            [_checked(cases[n]) for n in numbers], pairs, results=True,
+            [checked(cases[n]) for n in numbers], pairs, results=True,
             step_times=_some(step_times, numbers), paces=_some(paces, numbers),
         )  # fmt: skip
         found: dict[int, Result | Exception] = {**errors}
         for part in parts:
             found |= part.results()
-        return [_outcome(cases[number], found[i]) for i, number in enumerate(numbers)]
+        return {
+            numbers[i]: result if isinstance(result, Result) else _failed(cases[numbers[i]], result)
+            for i, result in found.items()
+        }
 
     results: dict[int, Result | FailedResult] = {}
     with together(comm):  # or the others would wait for its results
         mine = [computed_block(numbers) for numbers in blocks[comm.rank :: comm.size]]
-    for i, numbers in enumerate(blocks):  # one by one: all might be too much for a message
-        part = mine[i // comm.size] if i % comm.size == comm.rank else None
-        part = comm.bcast(part, i % comm.size) if comm.size > 1 else part
-        results.update(zip(numbers, part or (), strict=True))
+    for i in range(len(blocks)):  # one by one: all might be too much for a message
+        part = mine[i // comm.size] if i % comm.size == comm.rank else {}
+        results |= comm.bcast(part, i % comm.size) if comm.size > 1 else part
     return [results[number] for number in range(len(cases))]
 
 
-def _checked(case: Case | RingwearError) -> Case | Exception:
-    """Return a case, or why it cannot be computed."""
-    try:
-        if isinstance(case, Case):  # its contact pair is checked with its mesh
-            check_case(case, 1, "case", known_mesh=True)
-    except Exception as error:
-        return error
-    return case
-
-
-def _outcome(case: Case | RingwearError, result: Result | Exception) -> Result | FailedResult:
-    """Return the result of a case, which may have failed."""
-    if isinstance(result, Result):
-        return result
-    log.debug("a case failed", exc_info=result)
-    reason = as_ours(result)
+def _failed(case: Case | RingwearError, error: Exception) -> FailedResult:
+    """Return the outcome of a case without a history."""
+    log.debug("a case failed", exc_info=error)
+    reason = as_ours(error)
     # they hold the model and its matrices
     reason.__traceback__ = reason.__cause__ = reason.__context__ = None
     return FailedResult(case.stored_text if isinstance(case, Case) else "", reason)
@@ -170,11 +165,7 @@ def most_together(case: Case, assembly: float = 0.0) -> int:
 
     More of them share the time that Python takes for each operation: 64 elements, one core, 512,
     1,024 and 2,048 of them: 460, 404 and 374 us a history, in 60 kB of memory each. Fewer where
-    they are long, or large.
-
-    Parameters
-    ----------
-    assembly : s, of contact pairs, for each case.
+    they are long, or large, or where the ``assembly`` of contact pairs takes so many s of each.
     """
     n, rows = case.mesh.contact_elements, case.stored_rows
     size = 8.0 * rows * (len(HISTORIES) + 2)  # with their numbers and steps

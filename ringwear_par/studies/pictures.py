@@ -21,21 +21,8 @@ from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Po
 from ringwear_par.pictures.style import COLOURS, in_words, number_text
 from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.results.variables import DISPLAY_UNITS, LAYER_HISTORIES
-from ringwear_par.studies.ensemble import (
-    STRESS_STATES,
-    Ensemble,
-    Factor,
-    end_value_of,
-    factors_of,
-)
-from ringwear_par.studies.surrogate import (
-    GOOD,
-    SEED,
-    Surrogate,
-    chosen_cases,
-    share_words,
-    surrogate,
-)
+from ringwear_par.studies.ensemble import STRESS_STATES, Ensemble, Factor, end_value_of, factors_of
+from ringwear_par.studies.surrogate import GOOD, SEED, Surrogate, chosen_cases, percent, surrogate
 
 #: most curves of a panel and cases with a point that are drawn
 _MOST_CURVES, _MOST_POINTS = 8, 1000
@@ -84,7 +71,7 @@ class Choice:
         if self.surrogate is None:
             return ""
         words = (
-            f"{display_of(name).name} {share_words(error)}{', not drawn' * (error > GOOD)}"
+            f"{display_of(name).name} {percent(error)}{', not drawn' * (error > GOOD)}"
             for name, error in self.surrogate.relative_error.items()
             if error
         )
@@ -125,48 +112,39 @@ def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
 
 
 def _effect(ensemble: Ensemble, choice: Choice, key: Factor, output: str) -> Panel:
-    """Return the panel of an output against a key."""
-    display = display_of(output)
+    """Return the panel of an output against a key: curves in grids, else cases and their mean."""
+    display, made = display_of(output), choice.surrogate
     label = f"final {display.label}" if output == "penetration" else display.label
     values = display.factor * ensemble.final[output][choice.cases]
     x = Axis(key.label, log=key.logarithmic, categories=tuple(map(raw_words, key.texts)))
     axes = x, value_axis(label, values), f"{label} over {key.label}"
     others = [other for other in choice.keys if other is not key]
-    grid = ensemble.attributes["method"] == "grid"
-    curves = _curves(key, others, values) if grid else []
-    if curves:
-        return Panel(*axes, curves=curves, legend=",\n".join(other.label for other in others))
-    points, bands = [_points(key, values)], []
-    made = choice.surrogate
-    if made is not None and 0.0 < made.relative_error.get(output, 0.0) <= GOOD:
-        along, mean = made.mean_along(key.name, output)
-        error = 2.0 * made.error[output]
-        shifted = np.clip([mean - error, mean, mean + error], *made.responses[output].limits)
-        low, mean, high = display.factor * shifted
-        name = "surrogate, mean over the other keys"
-        if key.texts:
-            ends = np.stack([mean - low, high - mean])
-            level = Points(along, mean, name, COLOURS[0], 20.0, marker="level", errors=ends)
-            points.append(level)
-        else:
-            interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
-            bands = [Band(along, low, high, interval, COLOURS[1], 0.5)]
-            curves = [Curve(along, mean, name, COLOURS[0])]
-    return Panel(*axes, curves=curves, bands=bands, points=points)
-
-
-def _curves(key: Factor, others: Sequence[Factor], values: FloatArray) -> list[Curve]:
-    """Return a curve for each combination of the other keys; none of many."""
+    rows: dict[str, list[int]] = {}
     names = _names(others) or ["cases"] * len(values)
-    rows: dict[str, list[int]] = {name: [] for name in names}
     for row in np.argsort(key.values, kind="stable").tolist():
-        rows[names[row]].append(row)
-    if len(rows) > _MOST_CURVES:
-        return []
-    return [
-        Curve(key.values[row], values[row], name, COLOURS[i % len(COLOURS)], i, marked=True)
-        for i, (name, row) in enumerate(rows.items())
-    ]
+        rows.setdefault(names[row], []).append(row)
+    if ensemble.attributes["method"] == "grid" and len(rows) <= _MOST_CURVES:
+        curves = [
+            Curve(key.values[rows[name]], values[rows[name]], name, COLOURS[i % len(COLOURS)], i,
+                  marked=True)
+            for i, name in enumerate(dict.fromkeys(names))
+        ]  # fmt: skip
+        return Panel(*axes, curves=curves, legend=",\n".join(other.label for other in others))
+    points = [_points(key, values)]
+    if made is None or not 0.0 < made.relative_error.get(output, 0.0) <= GOOD:
+        return Panel(*axes, points=points)
+    along, mean = made.mean_along(key.name, output)
+    error = 2.0 * made.error[output]
+    shifted = np.clip([mean - error, mean, mean + error], *made.responses[output].limits)
+    low, mean, high = display.factor * shifted
+    name = "surrogate, mean over the other keys"
+    if key.texts:
+        ends = np.stack([mean - low, high - mean])
+        level = Points(along, mean, name, COLOURS[0], 20.0, marker="level", errors=ends)
+        return Panel(*axes, points=[*points, level])
+    interval = "\N{PLUS-MINUS SIGN} 2 errors in left-out cases"
+    band = Band(along, low, high, interval, COLOURS[1], 0.5)
+    return Panel(*axes, curves=[Curve(along, mean, name, COLOURS[0])], bands=[band], points=points)
 
 
 def _points(key: Factor, values: FloatArray) -> Points:

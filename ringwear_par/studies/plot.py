@@ -13,23 +13,9 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_drawn
-from ringwear_par.pictures import figures
-from ringwear_par.pictures.matplotlib import (
-    add_letters,
-    add_shared_legend,
-    draw,
-    legend_entries,
-    legend_shape,
-)
+from ringwear_par.pictures import figures, style
+from ringwear_par.pictures import matplotlib as drawing
 from ringwear_par.pictures.rig import draw_rig
-from ringwear_par.pictures.style import (
-    STYLE,
-    NotebookFigure,
-    check_format,
-    of_width,
-    plain,
-    save_figure,
-)
 from ringwear_par.results.result import Result
 from ringwear_par.studies.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.pictures import choose, effects, histories, index_panels
@@ -85,7 +71,7 @@ def plot(
     >>> rw.plot(result, "wear,pressure", times="1 s, 200 s").savefig("run.png")
     """
     if isinstance(results, Case):
-        return of_width(draw_rig(results), width)
+        return style.of_width(draw_rig(results), width)
     several = [results] if isinstance(results, Result | str | Path) else results
     sources = several if isinstance(several, Sequence) else ()
     for path in (Path(source) for source in sources if isinstance(source, str | Path)):
@@ -97,8 +83,8 @@ def plot(
                 f"{path}: a folder or a case must be drawn alone, without other options"
             )
         if path.is_dir():
-            return of_width(draw_sweep(read_ensemble(path)), width)
-        return of_width(draw_rig(read_case(path)), width)
+            return style.of_width(draw_sweep(read_ensemble(path)), width)
+        return style.of_width(draw_rig(read_case(path)), width)
     return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)
 
 
@@ -109,9 +95,9 @@ def plot_stored(
 
     The ending of the output chooses the format; dpi are the points of an inch, where it has such.
     """
-    check_format(output)
+    style.check_format(output)
     figure = plot(results, **{name: choice for name, choice in choices.items() if choice})
-    save_figure(figure, output, dpi)
+    style.save_figure(figure, output, dpi)
 
 
 # -- of a sweep ------------------------------------------------------------------------------------
@@ -133,24 +119,25 @@ def draw_sweep(ensemble: Ensemble) -> Figure:
     ]
     width = _PANEL[0] * max(3, *map(len, rows))
     shapes = [
-        [legend_shape(p, int(_LEGEND_LETTERS * width / len(row))) for p in row] for row in rows
+        [drawing.legend_shape(p, int(_LEGEND_LETTERS * width / len(row))) for p in row]
+        for row in rows
     ]
     heights = [_PANEL[1] + 0.4 + _LINE * max(lines for _, lines in shape) for shape in shapes]
-    with matplotlib.rc_context(STYLE):
-        figure = NotebookFigure(figsize=(width, sum(heights) + 0.5), layout="constrained")
+    with matplotlib.rc_context(style.STYLE):
+        figure = style.NotebookFigure(figsize=(width, sum(heights) + 0.5), layout="constrained")
         title = [choice.counts, *textwrap.wrap(choice.remark, _TITLE_LETTERS)]
-        figure.suptitle("\n".join(map(plain, title)), fontsize=9.0)
+        figure.suptitle("\n".join(map(style.plain, title)), fontsize=9.0)
         parts: Any = figure.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
         for part, row, shape in zip(parts, rows, shapes, strict=True):
             all_axes, entries = part.subplots(1, len(row), squeeze=False)[0], dict[str, Any]()
             for axes, panel, (columns, _) in zip(all_axes, row, shape, strict=True):
-                draw(axes, panel, columns if panel.legend else 0)
+                drawing.draw(axes, panel, columns if panel.legend else 0)
                 if not panel.legend:
-                    entries |= legend_entries(axes)
+                    entries |= drawing.legend_entries(axes)
                 axes.set_xlabel(textwrap.fill(axes.get_xlabel(), _LABEL_LETTERS))
                 axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
                 if not (panel.x.log or panel.x.categories):
                     axes.locator_params(axis="x", nbins=4 if len(row) > 1 else 8)
-            add_shared_legend(part, entries)
-        add_letters(figure)
+            drawing.add_shared_legend(part, entries)
+        drawing.add_letters(figure)
     return figure

@@ -20,15 +20,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.results.variables import LABORATORY_NUMBERS, LAYER_HISTORIES
-from ringwear_par.studies.ensemble import (
-    STRESS,
-    Ensemble,
-    Factor,
-    end_value_of,
-    factors_of,
-    read_ensemble,
-)
+from ringwear_par.results.variables import LAYER_HISTORIES
+from ringwear_par.studies.ensemble import Ensemble, Factor, factors_of, is_smooth, read_ensemble
 
 log = logging.getLogger(__name__)
 
@@ -90,22 +83,22 @@ class Response:
         """The error as a part of the spread, 0 where nothing varies."""
         return self.error / self.spread if self.spread else 0.0
 
-    def of_form(self, table: FloatArray) -> FloatArray:
-        """Return the values of the response with some values of its form."""
-        return np.clip(_FORMS[self.form][1](table), *self.limits)
-
     def at(self, points: FloatArray, *, deviations: bool = False) -> FloatArray:
         """Return values, or standard deviations, (points, columns) at points.
 
         A standard deviation is half of what lies between one of the form below and above.
         """
+
+        def values(table: FloatArray) -> FloatArray:
+            return np.clip(_FORMS[self.form][1](table), *self.limits)
+
         parts = []
         for chunk in np.array_split(points, 1 + len(points) // _CHUNK):
             if deviations:
                 mean, width = self.process.predict(chunk, return_std=True)
-                parts.append(0.5 * (self.of_form(mean + width) - self.of_form(mean - width)))
+                parts.append(0.5 * (values(mean + width) - values(mean - width)))
             else:
-                parts.append(self.of_form(self.process.predict(chunk)))
+                parts.append(values(self.process.predict(chunk)))
         return np.concatenate(parts).reshape(len(points), math.prod(self.shape))
 
 
@@ -114,9 +107,7 @@ def _fitted(
 ) -> Response:
     """Return the response (cases, ...) at points, in the form with the smallest error.
 
-    Parameters
-    ----------
-    columns : see ``_errors``.
+    Errors are those of ``_errors`` by columns.
     """
     flat = values.reshape(len(values), -1)
     low, shape = float(flat.min()), values.shape[1:]
@@ -160,10 +151,8 @@ def _errors(
 ) -> Iterator[tuple[BoolArray, float, FloatArray]]:
     """Yield cases that have been left out, the share that their errors count, the errors.
 
-    Parameters
-    ----------
-    columns : (cases,) each; cases of the same value are left out together, but for the first and
-        the last value, beyond which there is nothing.
+    Cases of the same value of a column (cases,) are left out together, but for the first and the
+    last value, beyond which there is nothing.
     """
     inverse = np.linalg.inv(process.L_ @ process.L_.T)
     weights = process.alpha_.reshape(len(table), -1) * table.std(axis=0)
@@ -187,12 +176,11 @@ def _rms(values: FloatArray) -> float:
 class Surrogate:
     """Gaussian processes over the varied keys of a sweep, see ``surrogate``."""
 
-    #: the varied keys in which cases differ
+    #: the varied keys in which cases differ, and responses by name
     factors: tuple[Factor, ...]
-    #: (cases that are interpolated, coordinates)
-    points: FloatArray
-    #: by name
     responses: dict[str, Response]
+    #: number of cases that are interpolated
+    cases: int
 
     @property
     def error(self) -> dict[str, float]:
@@ -248,7 +236,7 @@ class Surrogate:
 
     def mean_along(self, key: str, name: str) -> tuple[FloatArray, FloatArray]:
         """Return values of a key, and the mean of a number over the other keys at each."""
-        (i,) = (i for i, factor in enumerate(self.factors) if factor.name == key)
+        i = [*self.ranges].index(key)
         texts = len(self.factors[i].texts)
         shares = (np.arange(texts) + 0.5) / texts if texts else np.linspace(0.0, 1.0, _ALONG)
         points = np.repeat(_sobol(len(self.factors), _OTHERS)[None], len(shares), axis=0)
@@ -273,9 +261,11 @@ class Surrogate:
         return first, 0.5 * np.mean(change**2, axis=1) / variance
 
     def __repr__(self) -> str:
-        shares = (f"{n} {share_words(e)}" for n, e in self.relative_error.items() if e)
+        shares = (
+            f"{name} {percent(error)}" for name, error in self.relative_error.items() if error
+        )
         return (
-            f"<Surrogate of {len(self.points)} cases over {', '.join(self.ranges)}; errors in "
+            f"<Surrogate of {self.cases} cases over {', '.join(self.ranges)}; errors in "
             f"left-out cases, of the spread: {', '.join(shares)}>"
         )
 
@@ -292,7 +282,7 @@ def _sobol(keys: int, count: int) -> FloatArray:
     return points
 
 
-def share_words(relative_error: float) -> str:
+def percent(relative_error: float) -> str:
     """Return an error in percent of the spread."""
     return f"{100.0 * relative_error:.2g} %"
 
@@ -333,8 +323,7 @@ def surrogate(
     columns += [c for c in np.round(numbers, _DIGITS).T if 2 < len(np.unique(c)) <= 0.5 * len(c)]
     final = ensemble.final
     if responses is None:
-        finite = (n for n, v in final.items() if np.isfinite(v[cases]).all())
-        responses = [name for name in finite if _is_smooth(name)]
+        responses = [n for n, v in final.items() if is_smooth(n) and np.isfinite(v[cases]).all()]
     arrays = responses if isinstance(responses, Mapping) else {n: final.get(n) for n in responses}
     fitted = {}
     for name, values in arrays.items():
@@ -345,16 +334,10 @@ def surrogate(
                 f"({len(ensemble.ids)}, ...), finite in all cases that are done"
             )
         fitted[name] = _fitted(name, array[cases], points, columns)
-    made = Surrogate(factors, points, fitted)
+    made = Surrogate(factors, fitted, len(cases))
     if max(made.relative_error.values(), default=0.0) > GOOD:
         log.warning("more cases would make errors smaller: %r", made)
     return made
-
-
-def _is_smooth(name: str) -> bool:
-    """Tell whether a final value is no place of the largest stress, which jumps, and no rate."""
-    column, variable, _ = end_value_of(name)
-    return column not in LABORATORY_NUMBERS and (column not in STRESS or variable.unit == "MPa")
 
 
 def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:
