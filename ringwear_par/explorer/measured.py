@@ -198,7 +198,7 @@ def _quantity(column: str, along: bool, case: Case) -> str:
     """Return the quantity of a column, as well as its name tells."""
     words = re.findall("[a-z]+", column.lower())
     kind = next((_WORDS[word] for word in words if word in _WORDS), "")
-    wearing = [b for b, law in zip(("lower", "upper"), case.laws, strict=True) if law is not None]
+    wearing = [b for b, laws in zip(("lower", "upper"), case.laws, strict=True) if laws]
     body = next((b for b in ("lower", "upper") if b in words), (wearing or ["lower"])[0])
     if along:
         return f"profile.{body}"

@@ -82,7 +82,7 @@ def end_numbers(
     densities = {
         body: np.array([case.rings[i].densities for case in cases], dtype=float)
         for i, body in enumerate(BODIES)
-        if any(case.laws[i] is not None for case in cases)
+        if any(case.laws[i] for case in cases)
     }
     omega, time = Schedules.of([c.load.omega for c in cases]), data["time"][last]
     numbers = _numbers(

@@ -20,6 +20,7 @@ from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
 from ringwear_par.version import versions
+from ringwear_par.wear.law import in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -317,12 +318,12 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         },
         "user_laws": json.dumps(law_sources(case)),
         **{
-            f"law_{body}": "" if law is None else law.describe()
-            for body, law in zip(BODIES, case.laws, strict=True)
+            f"law_{body}": in_words(laws, [layer.thickness for layer in ring.layers])
+            for body, laws, ring in zip(BODIES, case.laws, case.rings, strict=True)
         },
         # whether worn volume is a constant times the friction energy, by layer, of a body
         "energy_identity": int(
-            any(all(law.ratio(case.friction) for law in of.laws) for of in case.laws if of)
+            any(all(law.ratio(case.friction) for law in of) for of in case.laws if of)
         ),
     }
 
