@@ -25,7 +25,7 @@ from ringwear_par.history.elastic import assemble
 from ringwear_par.history.loop import first_contact
 from ringwear_par.parallel import together
 from ringwear_par.results.run import simulate
-from ringwear_par.wear.laws import LAWS
+from ringwear_par.wear.law import Law
 
 #: Poisson's ratio of all bodies
 NU = 0.3
@@ -121,7 +121,7 @@ def sphere_checks(comm: MPI.Comm) -> Iterator[Check]:
 
 def _rings(pressure: float, p0: float, until: float, layers: tuple[RingLayer, ...] = ()) -> Case:
     """Return the paper's rings under a mean pressure, the lower one wearing."""
-    law = LAWS["threshold"].law(k=K, p0=p0)
+    law = Law.of_values("threshold", k=K, p0=p0)
     case = Case(
         Ring((20.0, 40.0), (0.0, 20.0), 10e3, NU, "clamped", layers=layers),
         Ring((28.5, 31.5), (20.0, 40.0), 100e3, NU, "clamped"),

@@ -1,11 +1,9 @@
-"""Pages made of the code when the site is built: a page for each wear law, and those of keys.
+"""What is made of the code when the site is built: pages of keys, and pictures of wear laws.
 
 They are written to ``docs/generated``. Roles ``key``, ``studykey``, ``fitkey`` and ``measurekey``
-link to a key's entry. A law without a case in ``scripts/cases`` is an error, for its page shows
-one.
+link to a key's entry.
 """
 
-import inspect
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +15,6 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import ringwear_par as rw
-from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.schema import KEYS as CASE_KEYS
 from ringwear_par.cases.units import in_signs
 from ringwear_par.files.text import parse_toml, toml_value
@@ -27,7 +24,8 @@ from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.studies.variations import KEYS as STUDY_KEYS
 from ringwear_par.wear.at import LocalState
-from ringwear_par.wear.laws import LAWS, Kind, Law
+from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws import LAWS
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -46,49 +44,6 @@ KEYS: Mapping[str, tuple[str, str, Sequence[Any]]] = {
 FIRST_STEPS = "0,1,3,5"
 #: depths worn (mm) at which laws that remember them are drawn
 _WORN = (0.0, 0.003, 0.01)
-
-_SYMBOLS = {
-    "mu": r"\mu ",
-    "max": r"\max",
-    "exp": r"\exp",
-    "p0": "p_0",
-    "k_start": r"k_\mathrm{start}",
-    "wear": r"\mathrm{wear}",
-    "slid": r"\mathrm{slid}",
-    "depth": r"\mathrm{depth}",
-    "distance": r"\mathrm{distance}",
-    "or": r"\ \text{or}\ ",
-    "<": r"\langle ",
-    ">": r"\rangle ",
-}
-
-
-def latex(formula: str) -> str | None:
-    """Return a law's formula as LaTeX, None if it is in words."""
-    tokens = re.findall(r"\w+|\S", formula)
-    if any(len(word) > 1 and word not in _SYMBOLS and not word.isdigit() for word in tokens):
-        return None
-    return " ".join(_SYMBOLS.get(word, word) for word in tokens)
-
-
-def example(name: str) -> tuple[Path, str]:
-    """Return the case of ``scripts/cases`` that shows a law, and the body that wears by it.
-
-    Raises
-    ------
-    LookupError : there is none.
-    """
-    found = {}
-    for path in sorted(CASES.glob("*.toml")):
-        for body, table in parse_toml(path.read_text("utf-8"), path.name).get("wear", {}).items():
-            if table.get("law") == name:
-                found.setdefault(path.stem, (path, body))
-    if not found:
-        raise LookupError(f"wear law {name}: no case of {CASES} shows it")
-    own = name.replace("-", "_")
-    return next((found[stem] for stem in (own, f"{own}_law", "paper") if stem in found), None) or (
-        next(iter(found.values()))
-    )
 
 
 def _curves(case: "rw.Case", law: Law) -> Figure:
@@ -118,75 +73,13 @@ def _curves(case: "rw.Case", law: Law) -> Figure:
     return figure
 
 
-def _meaning(law: Kind) -> tuple[str, str]:
-    """Return the first sentence of a law's docstring, and the rest up to its sections."""
-    text = re.split(r"\n\s*\n\w+\n-{3,}", inspect.cleandoc(law.function.__doc__ or ""))[0]
-    first, _, rest = text.partition("\n\n")
-    return first, rest
-
-
-def law_page(name: str) -> str:
-    """Return the page of a law, in MyST; its picture is ``NAME.svg`` beside it.
-
-    Raises
-    ------
-    LookupError : no case shows the law.
-    """
-    law = LAWS[name]
-    path, body = example(name)
-    formula, where = law.formula, ""
-    if note := re.fullmatch(r"(.*\S) \(([^()]* [^()]*)\)", formula):
-        formula, where = note.groups()
-    shown = latex(formula)
-    first, told = _meaning(law)
-    lines = [f"# {name}", "", first, ""]
-    lines += [f"$$\n{shown}\n$$" if shown else f"Rate: {law.formula}.", ""]
-    if where:
-        lines += [f"where `{where}`.", ""]
-    lines += [told, "", "## Parameters", ""]
-    lines += ["| key | unit | default | meaning | allowed |", "|---|---|---|---|---|"]
-    for parameter in law.declared:
-        key = BY_PATH[f"wear.{body}.{parameter.name}"]
-        usual = "required" if parameter.default is ... else _default(key.default)
-        lines.append(
-            f"| {{key}}`{parameter.name} <{key.path}>` | {_unit(parameter.unit)} | {usual} | "
-            f"{_plain(parameter.meaning)} | {_plain(key.allowed)} |"
-        )
-    table = _table_of(path.read_text("utf-8"), f"wear.{body}")
-    lines += ["", "## In a case file", "", f"From `scripts/cases/{path.name}`:", ""]
-    lines += ["```toml", table, "```", "", f"![Rate of wear against pressure]({name}.svg)", ""]
-    lines += [
-        "*Its rate with these numbers at the mean radius of the contact, and at half the speed.*"
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def law_list() -> str:
-    """Return what each law is, in MyST, with a link to its page."""
-    rows = [
-        f"| [`{name}`](generated/laws/{name}.md) | {_meaning(LAWS[name])[0]} |" for name in LAWS
-    ]
-    return "\n".join(["| law | what it says |", "|---|---|", *rows]) + "\n"
-
-
 def law_figure(name: str) -> Figure:
-    """Return the picture of a law as its case has it."""
-    path, body = example(name)
-    case = rw.read_case(path)
-    law = case.laws_by_table[f"wear.{body}"]
+    """Return the picture of a law, as lower wears in the case that the page of laws shows."""
+    stem = {"threshold": "paper", "user": "user_law"}.get(name, name.replace("-", "_"))
+    case = rw.read_case(CASES / f"{stem}.toml")
+    law = case.laws_by_table["wear.lower"]
     assert law is not None
     return _curves(case, law)
-
-
-def _table_of(text: str, table: str) -> str:
-    """Return a table of a TOML text with its comments."""
-    after = text.partition(f"[{table}]")[2]
-    rest = re.split(r"^\[", after, maxsplit=1, flags=re.MULTILINE)[0]
-    return f"[{table}]{rest}".rstrip()
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "-" else in_signs(unit)
 
 
 def _default(usual: Any) -> str:
@@ -245,9 +138,7 @@ def _made(app: "Sphinx") -> None:
     folder = Path(app.srcdir) / "generated"
     (folder / "laws").mkdir(parents=True, exist_ok=True)
     for name in LAWS:
-        write(folder / "laws" / f"{name}.md", law_page(name))
         law_figure(name).savefig(folder / "laws" / f"{name}.svg", metadata={"Date": None})
-    write(folder / "laws.txt", law_list())
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
     rw.plot(first_case_of(page)).savefig(folder / "rig.svg")

@@ -16,7 +16,7 @@ from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import BODIES, Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, bends, in_time
-from ringwear_par.wear.laws import Law, LayeredLaw
+from ringwear_par.wear.law import NO_WEAR, Law
 from ringwear_par.wear.user import WearLaw
 
 #: of which material a point on the line between two is
@@ -292,10 +292,9 @@ class Case:
         return laws
 
     @cached_property
-    def laws(self) -> tuple[Law | LayeredLaw | None, Law | LayeredLaw | None]:
-        """Wear laws of lower and upper; with layers those of all of them."""
-        lower, upper = self.wear_lower, self.wear_upper
-        return _law(self.lower, lower), _law(self.upper, upper)
+    def laws(self) -> tuple[tuple[Law, ...], tuple[Law, ...]]:
+        """Wear laws of lower and upper: of layers, inwards, and of the body; () if none wears."""
+        return _laws(self.lower, self.wear_lower), _laws(self.upper, self.wear_upper)
 
     def layer_ends(self, body: int) -> FloatArray:
         """Return the depths at which layers of lower (0) or upper (1) end, (layers, n) mm.
@@ -320,7 +319,7 @@ class Case:
     @property
     def follows_wear(self) -> bool:
         """Whether elements follow the worn profile."""
-        return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)
+        return self.mesh.geometry == "updated" and any(self.laws)
 
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:
@@ -330,7 +329,7 @@ class Case:
         for schedule in (load.omega, load.force, load.displacement, self.friction):
             inside.update(bends(schedule))
         for of_body in self.laws:
-            for law in of_body.laws if of_body is not None else ():
+            for law in of_body:
                 inside.update(law.breakpoints)
         times: list[float] = []
         for time in sorted(t for t in inside if t < self.time.end):
@@ -398,15 +397,13 @@ class Case:
         return f"{CHANGED}\n{self.text}"
 
 
-def _law(ring: Ring, body_law: WearLaw | None) -> Law | LayeredLaw | None:
-    """Return the law of a ring, of its layers and itself."""
-    itself = None if body_law is None else Law.of(body_law)
-    layer_laws = [None if layer.wear is None else Law.of(layer.wear) for layer in ring.layers]
-    if itself is None and not any(layer_laws):
-        return None
-    if not ring.layers:
-        return itself
-    return LayeredLaw.of([layer.thickness for layer in ring.layers], layer_laws, itself)
+def _laws(ring: Ring, body_law: WearLaw | None) -> tuple[Law, ...]:
+    """Return the laws of a ring's layers, which by default wear as the ring, and of itself."""
+    own = [*(layer.wear for layer in ring.layers), body_law]
+    laws = [body_law if law is None else law for law in own]
+    if all(law is None for law in laws):
+        return ()
+    return tuple(NO_WEAR if law is None else Law.of(law) for law in laws)
 
 
 def refuse_stop(case: Case, name: str, purpose: str) -> None:

@@ -17,7 +17,7 @@ from ringwear_par.cases.case import SAME_TIME, Case, Ring, RingLayer
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
-from ringwear_par.wear.laws import Law
+from ringwear_par.wear.law import Law
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]
@@ -127,7 +127,7 @@ def _refused_by(
         for (path, entry), column in numbers.items()
         if (key := path if entry is None else f"{path}{entry}").startswith(f"{table}.")
     }
-    if not any(parameter.at_least for parameter in law.kind.declared) or not columns:
+    if not columns or not any(parameter.at_least for parameter in law.kind.declared):
         return np.zeros(count, dtype=bool)
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return np.array([bool(law.kind.faults("", {**law.values, **row})) for row in rows])

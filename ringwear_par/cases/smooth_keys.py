@@ -32,8 +32,8 @@ def smooth_keys(case: Case) -> dict[str, str]:
     units: dict[str, str] = {}
     for table, law in case.laws_by_table.items():
         if law is not None:
-            numbers = law.quantities | ({"length": law.length} if law.length else {})
-            units |= {f"{table}.{k}": law.unit(k) for k, q in numbers.items() if _is_number(q)}
+            own = law.quantities.items()
+            units |= {f"{table}.{k}": law.unit(k) for k, q in own if _is_number(q)}
     load = case.load
     for key, number in (
         ("contact.friction", case.friction),

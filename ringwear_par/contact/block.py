@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import take
 from ringwear_par.contact import _rows
 from ringwear_par.contact.problem import Compliance, Contact
@@ -49,51 +49,38 @@ class BlockSolver:
         d: FloatArray,
     ) -> Contact:
         """Return the contacts at gaps (B, n), from pressures and approaches near them."""
-        p, d, whole = p.copy(), d.copy() if self.by_force else load.copy(), True
-        count, rows = len(gap), np.arange(len(gap))
-        failed, iterations = np.zeros(count, bool), np.zeros(count, np.int64)
-        lost = np.zeros(count, bool)  # what is no problem at all, as of laws that give no numbers
+        p, d, rows = p.copy(), d.copy() if self.by_force else load.copy(), np.arange(len(gap))
+        failed, iterations = np.zeros(len(gap), bool), np.zeros(len(gap), np.int64)
+        lost = np.zeros(len(gap), bool)  # what is no problem at all: a law gives no numbers
+        some = self.compliance, self.depth, gap, load, wear
         if self.by_force and load.min() <= 0.0:  # some of the bodies just touch
-            lifted, whole = load <= 0.0, False
-            p[lifted], d[lifted], rows = 0.0, gap[lifted].min(axis=1), rows[~lifted]
+            lifted = load <= 0.0
+            p[lifted], d[lifted], rows = 0.0, gap[lifted].min(axis=1), np.flatnonzero(~lifted)
+            some = take(some, rows)
         for _ in range(_LINES):
             if not len(rows):
                 break
-            some = self.compliance, self.depth, gap, load, p, d
-            c, depth, gaps, loads, q, e = some if whole else take(some, rows)
-            q, e = (q.copy(), e.copy()) if whole else (q, e)  # lines are known by their pressures
-            lines = self._lines(wear, q, None if whole else rows)
+            (c, depth, gaps, loads, stage), q, e = some, p[rows], d[rows]
+            lines = (np.zeros((0, *q.shape)),) * 2 if stage is None else stage.lines(q)
             sets = np.empty(len(rows), np.int32)
             _rows.solve(c, gaps, loads, self.by_force, *lines, self.relative, depth, q, e, sets)
             posed = np.isfinite(gaps.sum(axis=1))
-            if wear is not None and not wear.linear:  # laws may give no numbers
+            if stage is not None and not stage.linear:
                 posed &= np.isfinite((lines[0] + lines[1]).sum(axis=(0, 2)))
             p[rows], d[rows], lost[rows] = q, e, ~posed
             failed[rows] = (sets < 0) | ~np.isfinite(e)
             iterations[rows] += np.abs(sets)
-            if wear is None or wear.linear:
+            if stage is None or stage.linear:
                 break
-            rows, whole = rows[sets > 0], False  # of the others, lines were right before
+            more = np.flatnonzero(sets > 0)  # of the others, lines were right before
+            rows, some = rows[more], take(some, more)
         else:
             failed[rows] = True
-        found = Contact(p, d, failed & ~lost, iterations)
-        found = self._rescued(found, gap, load, wear) if found.failed.any() else found
-        return found._replace(failed=found.failed | lost)
-
-    def _lines(
-        self, wear: StepWear | None, p: FloatArray, rows: IntArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        nothing = np.zeros((0, *p.shape))
-        return (nothing, nothing) if wear is None else wear.lines(p, rows)
-
-    def _rescued(
-        self, found: Contact, gap: FloatArray, load: FloatArray, wear: StepWear | None
-    ) -> Contact:
-        """Return the contacts, of which TAO has solved those that had failed."""
-        lost: BoolArray = found.failed
-        with TaoContact(self.compliance, self.by_force, allowed=_RESCUED) as tao:
-            p, d, failed, more = tao.solve(gap, load, wear, found.pressure, found.approach, lost)
-        return Contact(p, d, failed, found.iterations + more)
+        if (failed & ~lost).any():
+            with TaoContact(self.compliance, self.by_force, allowed=_RESCUED) as tao:
+                p, d, failed, more = tao.solve(gap, load, wear, p, d, failed & ~lost)
+            iterations = iterations + more
+        return Contact(p, d, failed | lost, iterations)
 
     def filtered(self, error: FloatArray, wear: StepWear, p: FloatArray) -> FloatArray:
         """Return what is left of errors of depth (B, n) when pressures have given way to them."""

@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.batched import take
 from ringwear_par.contact.problem import Compliance, Contact
 from ringwear_par.options import CONTACT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
@@ -150,7 +151,7 @@ class TaoContact:
     def _pose(self, row: int, gap: FloatArray, load: float, wear: StepWear | None) -> None:
         """Set the problem, its scales, and this rank's rows of the system without wear."""
         area, e, n = self.compliance.line.area, self._own, len(gap)
-        self._problem = row, gap, load, wear
+        self._problem = row, gap, load, None if wear is None else take(wear, np.array([row]))
         self._mean = np.full(n, load / area.sum() if self.by_force and load > 0.0 else 1.0)
         slope = self._worn(self._mean)[1]
         own = self.compliance.diagonal[row] + (slope if slope.ndim == 1 else np.diagonal(slope))
@@ -190,10 +191,10 @@ class TaoContact:
 
     def _worn(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return depths (n,) at pressures, and slopes (n,), or (n, n) of a non-local law."""
-        row, _, _, wear = self._problem
+        wear = self._problem[3]
         if wear is None:
             return np.zeros_like(p), np.zeros_like(p)
-        return wear.of_history(row, np.maximum(p, 0.0))
+        return wear.of_one(np.maximum(p, 0.0))
 
     def _set_residual(self, tao: Any, x: Any, f: Any) -> None:
         (_, gap, load, _), e = self._problem, self._own

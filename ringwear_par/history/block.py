@@ -1,8 +1,8 @@
 """A block of B histories on one contact line: what their cases give them, as arrays."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.schedules import Schedules, Table, padded, value
-from ringwear_par.wear.laws import averaging
-from ringwear_par.wear.step import Average, StepWear, Wearing
+from ringwear_par.wear.step import Places, StepWear, Wearing, averaging
+from ringwear_par.wear.user import user
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,8 @@ class Cases:
     """The cases of a whole block, by the numbers of their histories."""
 
     every: tuple[Case, ...]
+    #: what laws of users do wrong, by number of the history
+    faults: dict[int, str] = field(default_factory=dict)
     shared = True
 
 
@@ -41,8 +43,9 @@ class Block:
     #: rad/s, and coefficient
     omega: Schedules
     friction: Schedules
-    #: w bodies that wear
+    #: w bodies that wear, on these elements
     wearing: tuple[Wearing, ...]
+    places: Places
     #: (B,) mm of wear, to which steps are held
     tolerance: FloatArray
     #: (B, m) s, times at which steps end, the last of them repeated, and which states are stored
@@ -83,13 +86,13 @@ class Block:
         line, by_force = Line.of([*different.values()]), case.load.force is not None
         softness = np.array([[1.0 / c.lower.young, 1.0 / c.upper.young] for c in cases])
         pair = np.array([order[id(pair)] for pair in pairs])
-        bodies = [i for i, law in enumerate(case.laws) if law is not None]
-        wearing = tuple(_wearing(cases, body, line) for body in bodies)
+        bodies = [i for i, laws in enumerate(case.laws) if laws]
+        whole = Cases(tuple(cases))
         limits = padded(step_times or [_limits(c) for c in cases])
         stop = [dict(c.stop) for c in cases]
         loads = [c.load.force if by_force else c.load.displacement for c in cases]
         return cls(
-            cases=Cases(tuple(cases)),
+            cases=whole,
             line=line,
             compliance=Compliance.of(line, pair, softness),
             number=np.arange(len(cases)),
@@ -98,7 +101,8 @@ class Block:
             by_force=by_force,
             omega=Schedules.of([c.load.omega for c in cases]),
             friction=Schedules.of([c.friction for c in cases]),
-            wearing=wearing,
+            wearing=tuple(_wearing(whole, body, line) for body in bodies),
+            places=places(case, line),
             tolerance=np.array([c.time.tolerance for c in cases]),
             limits=limits,
             stored=_stored(cases, limits),
@@ -121,7 +125,7 @@ class Block:
     @cached_property
     def is_local(self) -> bool:
         """Whether the wear of each element depends on its own pressure alone."""
-        return all(body.average is None for body in self.wearing)
+        return all(average is None for average in self.places.averages)
 
     def worn_gap(self, wear: FloatArray) -> FloatArray:
         """Return the gaps (B, n) mm of undeformed profiles worn by (w, B, n) mm."""
@@ -153,8 +157,10 @@ class Block:
         """
         r, (omega, friction) = self.line.r, sliding
         speed, slid = omega[:, None] * r, self.omega.integral(time)[:, None] * r
-        at = time[:, None], speed, friction[:, None], slid, self.number[:, None]
-        return StepWear(self.wearing, layer, r, at, wear, step, self.line.obliquity, self.pace)
+        return StepWear(
+            self.wearing, self.places, layer, time[:, None], friction[:, None],
+            self.number[:, None], speed, slid, wear, step[:, None], self.pace, np.zeros_like(wear),
+        )  # fmt: skip
 
     def sliding(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return speeds (rad/s) and coefficients of friction at times, (B,)."""
@@ -172,11 +178,11 @@ def block_key(case: Case) -> Hashable:
     They have the same contact elements, slopes of faces, open ends of the mesh, nominal areas, and
     layers on bodies that do not wear; other heights, moduli and Poisson's ratios.
     """
-    laws = tuple(law and law.key for law in case.laws)
+    laws = tuple(tuple(law.key for law in of_body) for of_body in case.laws)
     elements = case.contact, case.mesh, *((ring.r, ring.face) for ring in case.rings)
     layers = tuple(
-        len(ring.layers) if law else tuple(layer.thickness for layer in ring.layers)
-        for ring, law in zip(case.rings, case.laws, strict=True)
+        len(ring.layers) if of_body else tuple(layer.thickness for layer in ring.layers)
+        for ring, of_body in zip(case.rings, case.laws, strict=True)
     )
     output = case.output
     alone = id(case) if case.follows_wear or output.boundary != "none" else 0
@@ -225,17 +231,31 @@ def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> Fl
     return np.array(wide).swapaxes(0, 1)[list(bodies)]
 
 
-def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
+def places(case: Case, line: Line) -> Places:
+    """Return the elements of a line as the laws of a case need them."""
+    averages = tuple(
+        averaging(line.r, line.true_area, laws[-1].length) if laws[-1].length else None
+        for laws in case.laws
+        if laws
+    )
+    return Places(line.r, line.obliquity, averages)
+
+
+def _wearing(cases: Cases, body: int, line: Line) -> Wearing:
     """Return the laws of a body of all cases, layer by layer."""
-    every: list[Any] = [c.laws[body] for c in cases]
-    columns = [*zip(*(law.laws for law in every), strict=True)]
+    columns = [*zip(*(case.laws[body] for case in cases.every), strict=True)]
     none = np.full((1, len(line.r)), np.inf)
-    ends = [np.concatenate([c.layer_ends(body), none]) if len(columns) > 1 else none for c in cases]
-    first, length = [column[0] for column in columns], every[0].length
-    average = averaging(line.r, line.true_area, length) if length else None
+    ends = [
+        np.concatenate([c.layer_ends(body), none]) if len(columns) > 1 else none
+        for c in cases.every
+    ]
+    first = [column[0] for column in columns]
     return Wearing(
         body,
-        tuple(law.function for law in first),
+        tuple(
+            partial(user, law.code, cases.faults) if law.code else law.kind.function
+            for law in first
+        ),
         tuple(
             {
                 name: _stacked([law.arguments[name] for law in column], line.r)
@@ -246,10 +266,7 @@ def _wearing(cases: Sequence[Case], body: int, line: Line) -> Wearing:
         tuple(law.linear for law in first),
         tuple(law.remembers for law in first),
         np.array(ends).swapaxes(0, 1).copy(),
-        np.array(
-            [[law.ratio(c.friction) for law in of.laws] for of, c in zip(every, cases, strict=True)]
-        ),
-        None if average is None else Average(average),
+        np.array([[law.ratio(case.friction) for law in case.laws[body]] for case in cases.every]),
     )
 
 

@@ -11,22 +11,9 @@ from ringwear_par.history.schemes import Solver
 from ringwear_par.history.state import State, Step
 
 
-def _faults(block: Block) -> list[dict[int, str]]:
-    """Return what the laws of users do wrong, by the numbers of histories."""
-    bodies = block.cases.every[0].laws
-    return [law.faults for body in bodies if body is not None for law in body.laws]
-
-
-def forget_faults(block: Block) -> None:
-    """Let laws of users forget what they did wrong in other blocks."""
-    for faults in _faults(block):
-        faults.clear()
-
-
 def _law_fault(block: Block, row: int, comm: MPI.Comm) -> str:
     """Return what a user's law did wrong in a history on any rank, "" for nothing. Collective."""
-    number = int(block.number[row])
-    mine = next(filter(None, (faults.get(number) for faults in _faults(block))), "")
+    mine = block.cases.faults.get(int(block.number[row]), "")
     return next(filter(None, comm.allgather(mine)), "")
 
 

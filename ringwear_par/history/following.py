@@ -11,12 +11,10 @@ from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.block import Block
+from ringwear_par.history.block import Block, places
 from ringwear_par.history.elastic import updated_geometry
 from ringwear_par.history.schemes import rates_at
 from ringwear_par.history.state import State
-from ringwear_par.wear.laws import averaging
-from ringwear_par.wear.step import Average
 
 
 class Following:
@@ -87,18 +85,12 @@ class Following:
         except ComputationError as error:
             raise ComputationError(_slivers(case.line, both) or str(error)) from error
         self._meshed, self.seconds = both, self.seconds + self.pair.seconds
-        bodies = tuple(
-            body if body.average is None else replace(
-                body, average=Average(averaging(line.r, line.true_area, case.laws[body.body].length))  # type: ignore[union-attr]  # noqa: E501
-            )
-            for body in block.wearing
-        )  # fmt: skip
         return replace(
             block,
             line=line,
             compliance=compliance,
             gap=case.initial_gap[None] - offset,
-            wearing=bodies,
+            places=places(case, line),
         )
 
 

@@ -24,7 +24,6 @@ from ringwear_par.history.elastic import assemble
 from ringwear_par.history.failures import (
     contact_failure,
     deep_wear_failure,
-    forget_faults,
     interpenetration,
     step_failure,
 )
@@ -104,7 +103,6 @@ def simulate(
     scheme = BY_NAME[case.time.scheme]
     share = step_share(block) if not block.given_steps else None
     solver = solver or BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
-    forget_faults(block)
     failures: dict[int, Exception] = {}
     if first is None:
         state, lost = start(block, solver)

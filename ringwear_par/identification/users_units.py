@@ -79,5 +79,5 @@ def _share(case: Case, body: str) -> float | None:
     law, mu = case.laws_by_table[f"wear.{body}"], case.friction
     if law is None or not isinstance(mu, float) or not isinstance(law.values.get("k"), float):
         return None
-    ratio = law.per_energy(mu)
-    return None if ratio is None else round(float(ratio * mu / law.values["k"]), 12)
+    ratio = law.ratio(mu)
+    return round(float(ratio * mu / law.values["k"]), 12) if ratio else None

@@ -13,6 +13,7 @@ from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.units import in_signs
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain, svg
 from ringwear_par.schedules import Quantity, Table, quantity_text
+from ringwear_par.wear.law import in_words
 
 #: inches of the figure, and the share of its width that bodies take; words take the rest
 _WIDTH, _DRAWN = 6.6, 0.58
@@ -40,11 +41,8 @@ def draw_rig(case: Case, laws: tuple[str, str] | None = None) -> NotebookFigure:
     laws : wear laws of lower and upper in words, "" for none; None: those of the case.
     """
     if laws is None:
-        lower, upper = case.laws
-        laws = (
-            "" if lower is None else lower.describe(),
-            "" if upper is None else upper.describe(),
-        )
+        lower, upper = ([layer.thickness for layer in ring.layers] for ring in case.rings)
+        laws = in_words(case.laws[0], lower), in_words(case.laws[1], upper)
     height, ratio = _proportions(case)
     radius = max(case.lower.r[1], case.upper.r[1])
     low, high = case.lower.z[0], case.upper.z[1]

@@ -20,6 +20,7 @@ from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
 from ringwear_par.version import versions
+from ringwear_par.wear.law import in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -276,13 +277,13 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "user_laws": json.dumps(law_sources(case)),
         # whether worn volume is a constant times the friction energy, by layer, of a body
         "energy_identity": int(
-            any(all(law.ratio(case.friction) for law in of.laws) for of in case.laws if of)
+            any(all(law.ratio(case.friction) for law in of) for of in case.laws if of)
         ),
     }
     for name, quantity in (("friction", case.friction), ("omega", case.load.omega)):
         if isinstance(quantity, Table):  # as texts: other attributes of HDF5 have room for 64 kB
             about[f"{name}_table"] = json.dumps(points_of(quantity))
-    for body, ring, section, law in zip(BODIES, case.rings, case.sections, case.laws, strict=True):
+    for body, ring, section, laws in zip(BODIES, case.rings, case.sections, case.laws, strict=True):
         *layers, itself = np.array(ring.densities, dtype=float).tolist()  # g/mm3, or NaN
         if not np.isnan(itself):
             about[f"density_{body}"] = itself
@@ -290,7 +291,7 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
             about[f"density_{body}_layers"] = tuple(layers)
         if section.face:
             about[f"face_{body}"] = section.face_description
-        about[f"law_{body}"] = "" if law is None else law.describe()
+        about[f"law_{body}"] = in_words(laws, [layer.thickness for layer in ring.layers])
     return about
 
 

@@ -1,8 +1,8 @@
 """What a wear law may read besides the pressure: time, sliding, and the memory of a place."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any
 
 from ringwear_par.arrays import FloatArray, IntArray
 
@@ -12,7 +12,7 @@ class LocalState:
     """Quantities besides the pressure that a wear law may read, at the contact elements.
 
     Users' laws are called with those of one history, as given here. Laws of the package take those
-    of B histories at once: (B, 1) for each number, and (B, n), but for ``r``.
+    of B histories at once: (B, 1) for each number, and (B, n).
 
     Parameters
     ----------
@@ -39,9 +39,3 @@ class LocalState:
     def power(self) -> FloatArray:
         """(n,) mm/s, friction coefficient times sliding speed."""
         return self.friction * self.speed
-
-    if not TYPE_CHECKING:  # type checkers see unknown names without it
-
-        def __getattr__(self, name: str) -> Any:
-            names = ", ".join([*(f.name for f in fields(self) if f.name != "number"), "power"])
-            raise AttributeError(f"LocalState has no {name!r}; it has {names}")

@@ -1,8 +1,8 @@
 """Wear laws of users, from files and as objects: called for one history at a time, and checked."""
 
-import ast
+import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,8 +18,9 @@ from ringwear_par.wear.at import LocalState
 #: step of difference quotients over the pressure or the worn depth: their error is its square,
 #: their round-off eps over it; MPa and mm, what counts as these where they are smaller
 _STEP, _SMALL_PRESSURE, _SMALL_WEAR = 1e-5, 1e-3, 1e-6
-#: number of pressures at which laws are tried; times that the steepest interval is halved then
-_TRIED, _HALVED = 33, 30
+#: how many pressures laws are tried at: up to the largest, then again and again between the two
+#: where the rate rises most; rise between the last two, over that of the first, of a jump
+_TRIED, _JUMP = (33, *13 * (5,)), 0.1
 
 
 class WearLaw(Protocol):
@@ -37,63 +38,12 @@ class WearLaw(Protocol):
         ...
 
 
-def user(
-    code: "UserCode", p: FloatArray, at: LocalState, /, **parameters: Any
-) -> tuple[FloatArray, ...]:
-    """A law of your own, from a Python file.
-
-    The file defines ``rate(p, at)``, the rate of depth in mm/s at pressures p in MPa; ``at`` knows
-    the speed, the radius, the friction coefficient, the time, the depth worn off and the distance
-    slid so far, and the numbers that the case gives in ``parameters``, in whatever units the file
-    has them.
-
-    Use it for what the other laws cannot say: rounded thresholds, levelling off at high pressures,
-    coefficients that follow the temperature of a record. Studies and fits vary its parameters as
-    those of the others.
-
-    The rate must be 0 without pressure, continuous, not negative, and must not fall with the
-    pressure. It is called for one history at a time, which makes large sweeps slower. Whatever the
-    file does wrong is told with time and element.
-
-    The file may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints``
-    of times (s) at which the rate jumps or bends, where adaptive steps end. A file that reads
-    ``at.wear`` remembers worn depth, exactly, unless it says ``remembers = False``.
-    """
-    values = np.full((3 if code.remembers else 2, *p.shape), np.nan)
-    for i in np.flatnonzero(np.isfinite(p).all(axis=1)):
-        number = i if at.number is None else int(at.number[i, 0])
-        local = replace(
-            at,
-            time=at.time[i, 0],
-            speed=read_only(at.speed[i]),
-            friction=at.friction[i, 0],
-            wear=read_only(at.wear[i]),
-            slid=read_only(at.slid[i]),
-            parameters={
-                name: v[i] if v.shape[1] > 1 else v[i, 0] for name, v in parameters.items()
-            },
-        )
-        try:
-            values[:, i] = code.values(np.maximum(p[i], 0.0), local)
-            code.faults.pop(number, None)
-        except LawError as error:
-            code.faults[number] = str(error)
-    return tuple(values)
-
-
 @lru_cache(maxsize=64)
 def _run(source: str, name: str) -> SimpleNamespace:
     """Return what the text of a file defines. On every rank, once."""
     names: dict[str, Any] = {"__name__": "user_law", "__file__": name}
     exec(compile(source, name, "exec"), names)
     return SimpleNamespace(**names)
-
-
-@lru_cache(maxsize=64)
-def _reads_wear(source: str) -> bool:
-    """Tell whether Python source has an attribute ``wear``, as in ``at.wear``."""
-    nodes = ast.walk(ast.parse(source))
-    return any(isinstance(node, ast.Attribute) and node.attr == "wear" for node in nodes)
 
 
 @dataclass(frozen=True)
@@ -104,8 +54,6 @@ class UserCode:
     called: str
     #: text of the file, or the object
     source: Any
-    #: what is wrong with it, by number of the history that called it last
-    faults: dict[int, str] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
     def of_file(cls, name: str) -> Self:
@@ -139,9 +87,14 @@ class UserCode:
         return getattr(functions, name, default)
 
     @property
+    def formula(self) -> str:
+        """What it is, in summaries."""
+        return f"rate(p, at) of {self.called}" if self.is_file else f"{self.called}.rate(p, local)"
+
+    @property
     def remembers(self) -> bool:
         """Whether the rate may depend on ``local.wear``: objects say so, files are searched."""
-        reads = not self.is_file or self.get("d_rate_dwear") or _reads_wear(self.source)
+        reads = not self.is_file or re.search(r"\.wear\b|\bd_rate_dwear\b", self.source) is not None
         return bool(self.get("remembers", reads))
 
     @property
@@ -184,24 +137,49 @@ class UserCode:
                 raise TypeError(f"it returns {type(result).__name__}, not real numbers")
             result = np.array(np.broadcast_to(np.asarray(result, dtype=float), p.shape))
         except (Exception, SystemExit) as error:  # whatever a user's code may raise
+            reason = f"{type(error).__name__}: {error}"
             raise LawError(
-                f"{self.called}: {name}() failed at time {local.time:g} s: "
-                f"{type(error).__name__}: {error}"
+                f"{self.called}: {name}() failed at time {local.time:g} s: {reason}"
             ) from error
-        bad = ~np.isfinite(result)
-        if name != "d_rate_dwear":
-            bad |= result < 0.0
+        any_sign = name == "d_rate_dwear"
+        bad = ~(np.isfinite(result) & (any_sign | (result >= 0.0)))
         if bad.any():
             e = int(bad.argmax())
-            quantity = "rate" if name == "rate" else "derivative of the rate"
-            allowed = "a finite number" + (" >= 0" if name != "d_rate_dwear" else "")
-            if name == "d_rate_dp":
-                allowed += ": rates must not fall with pressure"
+            must = "a finite number" if any_sign else "a finite number >= 0"
+            falls = ": rates must not fall with pressure" * (name == "d_rate_dp")
             raise LawError(
-                f"{self.called}: {name}() gives {result[e]:g} as {quantity}"
-                f"{_place(local, e, p[e])}; must be {allowed}"
+                f"{self.called}: {name}() gives {result[e]:g}{_place(local, e, p[e])}; must be "
+                f"{must}{falls}"
             )
         return result
+
+
+def user(
+    code: UserCode,
+    faults: dict[int, str],
+    p: FloatArray,
+    at: LocalState,
+    /,
+    **parameters: FloatArray,
+) -> tuple[FloatArray, ...]:
+    """Return what laws return, of a user's law: NaN of the histories where it fails.
+
+    Parameters
+    ----------
+    faults : what is wrong, by number of the history that called the law last: set here.
+    """
+    values = np.full((3 if code.remembers else 2, *p.shape), np.nan)
+    for i in np.flatnonzero(np.isfinite(p).all(axis=1)):
+        number = i if at.number is None else int(at.number[i, 0])
+        own = {name: v[i] if v.shape[1] > 1 else v[i, 0] for name, v in parameters.items()}
+        speed, wear, slid = (read_only(field[i]) for field in (at.speed, at.wear, at.slid))
+        local = LocalState(at.time[i, 0], at.r, speed, at.friction[i, 0], wear, slid, own)
+        try:
+            values[:, i] = code.values(np.maximum(p[i], 0.0), local)
+            faults.pop(number, None)
+        except LawError as error:
+            faults[number] = str(error)
+    return tuple(values)
 
 
 def derivative(
@@ -224,46 +202,33 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
         fall or jump.
     """
     if isinstance(code.source, type) or not callable(code.get("rate")):
-        is_class = isinstance(code.source, type)
-        what = f"{code.source.__name__} is a class" if is_class else f"{code.called} is no wear law"
-        raise InputError(f"{what}; must be an object with rate(p, local)")
+        raise InputError(
+            f"{code.called} is no wear law; must be an object with rate(p, local), not a class"
+        )
     try:
         _ = code.length, code.breakpoints
     except Exception as error:  # whatever a user's code may raise
         must = "length must be a number (mm), breakpoints a list of times (s)"
         raise InputError(f"{code.called}: {error}; {must}") from error
-    p = np.linspace(0.0, pressure, _TRIED)[:, None] * np.ones_like(local.r)
-    try:
-        rates = np.array([code.values(row, local)[0] for row in p])
-    except LawError as error:
-        raise InputError(str(error)) from error
-    falls = np.diff(rates, axis=0) < -1e-12 * rates.max()
-    for i, e in np.argwhere([rates[0] != 0.0, *falls])[:1].tolist():
-        what = f"falls from {rates[i - 1, e]:g} to" if i else "gives"
-        must = "must not fall with pressure" if i else "must be 0 without pressure"
-        place = _place(local, e, p[i, e])
-        raise InputError(f"{code.called}: rate() {what} {rates[i, e]:g}{place}; {must}")
-    _refuse_jump(code, local, p, rates)
-
-
-def _refuse_jump(code: UserCode, local: LocalState, p: FloatArray, rates: FloatArray) -> None:
-    """Refuse a rate that still rises by as much where its steepest interval is a point."""
-    i, e = np.unravel_index(np.diff(rates, axis=0).argmax(), (len(p) - 1, p.shape[1]))
-    low, high, below, above = p[i, e], p[i + 1, e], rates[i, e], rates[i + 1, e]
-    rise = above - below
-    for _ in range(_HALVED):
-        middle = 0.5 * (low + high)
+    low, high, steepest = 0.0, pressure, 0.0
+    for count in _TRIED:
+        p = np.linspace(low, high, count)
         try:
-            rate = float(code.values(np.full_like(local.r, middle), local)[0][e])
+            rates = np.array([code.values(np.full_like(local.r, q), local)[0] for q in p])
         except LawError as error:
             raise InputError(str(error)) from error
-        if rate - below > above - rate:
-            high, above = middle, rate
-        else:
-            low, below = middle, rate
-    if rise > 0.0 and above - below > 0.1 * rise:
+        rises = np.diff(rates, axis=0)
+        wrong = [(rates[0] != 0.0) & (low == 0.0), *(rises < -1e-12 * rates.max())]
+        for i, e in np.argwhere(wrong)[:1].tolist():
+            what = f"falls from {rates[i - 1, e]:g} to" if i else "gives"
+            must = "must not fall with pressure" if i else "must be 0 without pressure"
+            place = _place(local, e, p[i])
+            raise InputError(f"{code.called}: rate() {what} {rates[i, e]:g}{place}; {must}")
+        i, e = np.unravel_index(rises.argmax(), rises.shape)
+        low, high, steepest = p[i], p[i + 1], max(steepest, rises[i, e])
+    if rises[i, e] > _JUMP * steepest:
         raise InputError(
-            f"{code.called}: rate() jumps from {below:g} to {above:g}"
+            f"{code.called}: rate() jumps from {rates[i, e]:g} to {rates[i + 1, e]:g}"
             f"{_place(local, int(e), high)}; must be continuous"
         )
 

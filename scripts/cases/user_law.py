@@ -5,9 +5,9 @@ line: ``at.r`` (mm), ``at.speed`` (mm/s), ``at.friction``, ``at.time`` (s), ``at
 ``at.slid`` (mm, worn depth and distance slid so far) and ``at.parameters`` of the case file.
 
 A file needs ``rate(p, at)`` only; derivatives that it does not define are found from the rate by
-complex steps or differences. It may define ``d_rate_dp(p, at)``, as here, and ``d_rate_dwear(p,
-at)`` (1/s) of a rate that depends on ``at.wear``; and a list ``breakpoints`` of the times at which
-the rate jumps or bends, which adaptive steps then meet.
+differences. It may define ``d_rate_dp(p, at)``, as here, and ``d_rate_dwear(p, at)`` (1/s) of a
+rate that depends on ``at.wear``; and a list ``breakpoints`` of the times at which the rate jumps or
+bends, which adaptive steps then meet.
 """
 
 from numpy.typing import NDArray

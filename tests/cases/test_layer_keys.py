@@ -1,7 +1,7 @@
 """Layers in case files: what is read, set and varied of them."""
 
 import numpy as np
-from parts import NO_WEAR, ArchardLaw, LayeredLaw, Material, ThresholdLaw, bodies, operator_key
+from parts import NO_WEAR, ArchardLaw, Material, ThresholdLaw, bodies, operator_key
 from paths import CASES
 
 import ringwear_par as rw
@@ -19,9 +19,7 @@ def test_layers_are_read_with_their_units():
     body = bodies(case)[0]
     assert (body.section.layers, body.layers) == ((0.003,), (Material(1e5, 0.3),))
     assert operator_key(case) != operator_key(case.replace({"lower.layers[0].thickness": 0.004}))
-    law = case.laws[0]
-    assert isinstance(law, LayeredLaw)
-    assert law.laws == (ThresholdLaw(2e-8), ThresholdLaw(1e-7))
+    assert case.laws[0] == (ThresholdLaw(2e-8), ThresholdLaw(1e-7))
     assert parse_case(case.text, "stored") == case
     np.testing.assert_array_equal(case.layer_ends(0), np.full((1, case.line.n), 0.003))
 
@@ -34,7 +32,7 @@ def test_entries_of_layers_are_set_one_by_one():
     assert other.lower.layers[0].wear == ArchardLaw(3e-8)
     as_body = case.replace({"lower.layers[0].wear": None})
     assert as_body.lower.layers[0].wear is None
-    assert as_body.laws[0].laws == (ThresholdLaw(1e-7), ThresholdLaw(1e-7))
+    assert as_body.laws[0] == (ThresholdLaw(1e-7), ThresholdLaw(1e-7))
     assert case.replace({"lower.layers": None}).lower.layers == ()
     assert parse_case(other.text, "stored") == other
 
@@ -51,7 +49,7 @@ def test_layers_have_densities_of_their_own():
 
 def test_a_layer_may_wear_on_a_body_that_does_not():
     case = rw.read_case(CASE, {"wear.lower": None, "wear.lower.law": None, "wear.lower.k": None})
-    assert case.laws[0].laws == (ThresholdLaw(2e-8), NO_WEAR)
+    assert case.laws[0] == (ThresholdLaw(2e-8), NO_WEAR)
 
 
 def test_a_layer_ends_below_a_face_that_recedes():

@@ -59,8 +59,9 @@ PLACES = {
     "studies.many": "computed results_of",
     "studies.sweep": "run_sweep",
     "studies.plot": "plot_stored",
-    "wear.laws": "LAWS Law LayeredLaw NO_WEAR averaging threshold",
-    "wear.user": "derivative",
+    "wear.law": "Law NO_WEAR",
+    "wear.laws": "LAWS threshold",
+    "wear.user": "derivative user",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}
 

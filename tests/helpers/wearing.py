@@ -3,12 +3,13 @@
 import numpy as np
 
 from ringwear_par.wear import LocalState
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import LAWS
 
 
 def _of_kind(name):
-    kind = LAWS[name]
-    return lambda *values, **more: kind.law(**dict(zip(kind.parameters, values)), **more)  # noqa: B905
+    names = LAWS[name].parameters
+    return lambda *values, **more: Law.of_values(name, **dict(zip(names, values)), **more)  # noqa: B905
 
 
 ThresholdLaw, ArchardLaw, PowerLaw, TableLaw, RunningInLaw, NonLocalLaw = map(

@@ -143,7 +143,7 @@ FAILURES = {
     ),
     "wear that runs away": (
         {"law": "user", "parameters": {"k": 1e-8, "p0": 19.0}},
-        r"nan as rate at time .*; in step \d+|no step is short enough; in step \d+",
+        r"nan at time .*; in step \d+|no step is short enough; in step \d+",
     ),
     "deep wear": ({"law": "threshold", "k": 3e-2, "p0": 0.0}, r"worn off lower.*; in step \d+"),
 }  # fmt: skip

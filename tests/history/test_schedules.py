@@ -54,7 +54,7 @@ def test_a_specific_wear_rate_counts_sliding_without_friction(every):
     })  # fmt: skip
     result = rw.simulate(case, ALONE)
     rates = [n.value for n in key_numbers(result) if n.name == "lower_specific_rate"]
-    assert rates == pytest.approx([1e3 * case.laws[0].values["k"]], rel=1e-9)
+    assert rates == pytest.approx([1e3 * case.laws[0][0].values["k"]], rel=1e-9)
 
 
 def test_steps_end_where_friction_bends_and_nowhere_for_a_smooth_curve():

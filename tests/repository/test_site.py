@@ -12,7 +12,9 @@ import pytest
 from paths import ROOT
 
 import ringwear_par as rw
+from ringwear_par.cases.units import in_signs
 from ringwear_par.cli import main
+from ringwear_par.wear.laws import LAWS
 
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "slurm/README.md")),
@@ -51,6 +53,15 @@ def test_every_option_of_every_command_is_on_the_page_of_commands(capsys):
             main([name, "--help"])
         options = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
         assert {o for o in options if o not in rows} <= {"--help", "--output"}, name
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_parameter_of_a_law_is_on_the_page_of_laws_with_its_unit(law):
+    text = (ROOT / "docs" / "laws.md").read_text("utf-8")
+    section = text.partition(f"\n## {law}\n")[2].partition("\n## ")[0]
+    units = dict(re.findall(r"\{key\}`(\w+) <\S+>` \| (.*?) ?\|", section))
+    parameters = LAWS[law].parameters.items()
+    assert units == {name: in_signs(one.unit).replace("-", "") for name, one in parameters}
 
 
 EXAMPLES = [name for name in rw.__all__ if ">>>" in (inspect.getdoc(getattr(rw, name)) or "")]

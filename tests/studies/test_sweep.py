@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from agreement import assert_values_agree
-from parts import Law, edge_elements, parse_case, threshold
+from parts import LAWS, edge_elements, parse_case, threshold
 from swept import CASE, STUDY, assert_same_sweeps, table, variables, write_study
 
 import ringwear_par as rw
@@ -144,17 +144,17 @@ def test_a_folder_of_another_study_or_version_is_refused(
 
 def raising(monkeypatch, message="this law blows up"):
     """Have the law give no numbers for one of COEFFICIENTS, for a reason."""
-    original = Law.function
+    kind = vars(LAWS["threshold"])
 
     def some(p, at, k, p0):
         rate, rise = threshold(p, at, k, p0)
         return np.where(np.isclose(k, 1e-7), np.nan, rate), rise
 
-    monkeypatch.setattr(Law, "function", property(lambda law: some))
+    monkeypatch.setitem(kind, "function", some)
     for name in ("contact_failure", "step_failure"):
         where = f"ringwear_par.history.loop.{name}"
         monkeypatch.setattr(where, lambda *_: rw.ComputationError(message))
-    return lambda: monkeypatch.setattr(Law, "function", original)
+    return lambda: monkeypatch.setitem(kind, "function", threshold)
 
 
 @pytest.mark.usefixtures("small_blocks")

@@ -17,7 +17,8 @@ from wearing import (
 )
 
 import ringwear_par as rw
-from ringwear_par.wear.laws import NO_WEAR, LayeredLaw, averaging
+from ringwear_par.wear.law import NO_WEAR, in_words
+from ringwear_par.wear.step import averaging
 
 MU, P = 0.3, np.array([5.0, 20.0, 80.0])
 R = np.array([10.0, 15.0, 20.0])
@@ -51,7 +52,7 @@ def law_of(name):
 def test_rates_and_slopes_are_those_of_the_formula(name):
     law, exact = law_of(name), RATES[name][1]
     assert law.rate(P, AT) == pytest.approx(exact, rel=1e-12)
-    values = law.function(P, AT, **law.at(AT))
+    values = law.kind.function(P, AT, **law.at(AT))
     assert np.maximum(values[0], 0.0) == pytest.approx(exact, rel=1e-12)
     wears = values[0] > 0.0
     slope = derivative(lambda p: law.rate(p, AT), P, 1e-3)
@@ -61,7 +62,7 @@ def test_rates_and_slopes_are_those_of_the_formula(name):
     assert law.linear == (name.partition(",")[0] in ("threshold", "archard", "non-local")
                           or name == "running-in")  # fmt: skip
     if law.linear:
-        further = law.function(P + 7.0, AT, **law.at(AT))[0]
+        further = law.kind.function(P + 7.0, AT, **law.at(AT))[0]
         assert further == pytest.approx(values[0] + 7.0 * values[1], rel=1e-12)
     assert law.breakpoints == ((4.0,) if name == "threshold, in time" else ())
     if law.remembers:
@@ -91,11 +92,11 @@ def test_each_of_many_histories_has_the_numbers_that_it_has_alone(laws):
         name: np.array([np.atleast_1d(law.arguments[name]) for law in laws])
         for name in laws[0].arguments
     }
-    together = laws[0].function(p, at, **stacked)
+    together = laws[0].kind.function(p, at, **stacked)
     for i, law in enumerate(laws):
         own = rw.LocalState(time[i, 0], R, speed[i], mu[i, 0], wear[i], slid)
         for all_values, values in zip(
-            together, law.function(p[i], own, **law.at(own)), strict=True
+            together, law.kind.function(p[i], own, **law.at(own)), strict=True
         ):
             np.testing.assert_allclose(all_values[i], values, rtol=1e-13)
 
@@ -121,10 +122,9 @@ def test_worn_volume_by_energy():
     assert ThresholdLaw(Table((0.0, 9.0), (1e-7, 3e-7))).ratio(0.1) == 0.0
     assert ArchardLaw(1e-7).ratio(0.1) == pytest.approx(1e-6)
     assert ArchardLaw(1e-7).ratio(Table((0.0, 1.0), (0.1, 0.2))) == 0.0
-    coated = LayeredLaw.of([1e-3, 1e-3], [ArchardLaw(2e-8), None], ThresholdLaw(1e-7))
-    assert [law.ratio(0.1) for law in coated.laws] == pytest.approx([2e-7, 1e-7, 1e-7])
-    assert "through a layer of 1 um, then" in coated.describe()
-    assert LayeredLaw.of([1e-3], [ArchardLaw(2e-8)], None).laws[1] == NO_WEAR
+    words = in_words([ArchardLaw(2e-8), ThresholdLaw(1e-7)], [1e-3])
+    assert "1/MPa through a layer of 1 um, then k mu" in words
+    assert words.endswith("in the body itself")
 
 
 @pytest.mark.parametrize("law", ["threshold", "archard"])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import h5py
 import numpy as np
 import pytest
-from parts import Law, refuse_bad_laws, run_case
+from parts import Law, refuse_bad_laws, run_case, user
 from paths import PAPER
 from wearing import RunningInLaw, sliding
 
@@ -68,7 +68,7 @@ BAD_OBJECTS = {
     "falls": Mine(lambda p, local: 1e-11 * p * (500 - p)),
     "not fall": Mine(lambda p, local: 1e-8 * p, d_rate_dp=lambda p, local: -1e-8 + 0 * p),
     "function": lambda p, local: 1e-8 * p,
-    "is a class": Mine,
+    "not a class": Mine,
     "float": 3.0,
     "length": Mine(lowered_by_20, length="a"),
     "breakpoints": Mine(lowered_by_20, breakpoints=3),
@@ -153,7 +153,7 @@ def d_rate_dwear(p, at):
 
 def test_files_remember_wear_by_reading_it_and_need_no_derivatives(law):
     def read(source):
-        return rw.read_case(PAPER, [*law(source), "wear.lower.parameters={k=1e-7}"]).laws[0]
+        return rw.read_case(PAPER, [*law(source), "wear.lower.parameters={k=1e-7}"]).wear_lower
 
     plain, exact = read(PLAIN), read(PLAIN + EXACT)
     assert (plain.remembers, exact.remembers, plain.linear) == (True, True, False)
@@ -181,7 +181,7 @@ class Hardening:
 
 
 def test_histories_of_a_block_fail_one_by_one():
-    """Their numbers are NaN, and the law keeps why; the others are as those of running in."""
+    """Their numbers are NaN, with a reason; the others are as those of running in."""
     law, n = Law.of(Hardening(9e-7, 1e-6)), 3
     wear, speed = np.full((n, 5), 1e-7), np.tile(POWER, (n, 1))
     at = rw.LocalState(
@@ -189,14 +189,15 @@ def test_histories_of_a_block_fail_one_by_one():
         0.0 * speed, number=np.array([[4], [8], [9]]),
     )  # fmt: skip
     p = np.array([P, P, P - 5.0])
-    values = law.function(p, at, **{name: np.full((n, 1), q) for name, q in law.arguments.items()})
+    faults = {9: "no more"}
+    arguments = {name: np.full((n, 1), q) for name, q in law.arguments.items()}
+    values = user(law.code, faults, p, at, **arguments)
     known = RunningInLaw(0.0, 9e-7, depth=1e-6)
-    for found, exact in zip(values, known.function(p, at, **known.arguments), strict=True):
+    for found, exact in zip(values, known.kind.function(p, at, **known.arguments), strict=True):
         assert found[0] == pytest.approx(exact[0], rel=1e-9)
         assert np.isnan(found[1]).all()
         assert found[2, 1:] == pytest.approx(exact[2, 1:], rel=1e-9)
-    assert law.faults.keys() == {8}
-    assert "Hardening: rate() failed at time 7 s: ValueError: too late" in law.faults[8]
+    assert faults == {8: "Hardening: rate() failed at time 7 s: ValueError: too late"}
     with pytest.raises(rw.ComputationError, match="too late"):
         law.rate(P, sliding(POWER, time=7.0))
 

@@ -29,7 +29,8 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.wear.laws import LAWS, Law
+from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws import LAWS
 
 
 def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
@@ -139,8 +140,8 @@ def read_law(
     if first is None:
         return None
     if values.get(f"{table}.law", "") is None:
-        rule = _rule(f"{table}.law")
-        sentence = f"{name}: {table}.law is missing: {rule} where {first} is given"
+        must = _rule(f"{table}.law")
+        sentence = f"{name}: {table}.law is missing: {must} where {first} is given"
         faults.append(Fault(sentence, f"{table}.law", "missing"))
     law = values.get(f"{table}.law")
     if law is None:
@@ -168,7 +169,7 @@ def read_law(
     result = None
     if not law_faults and len(parameters) == len(declared):
         try:
-            result = kind.law(**parameters)
+            result = Law.of_values(law, **parameters)
         except InputError as error:
             law_faults = [Fault(f"{table}.{fault}", table, fault.code) for fault in error.faults]
     faults += [fault.reworded(f"{name}: {fault}") for fault in law_faults]

@@ -43,7 +43,7 @@ from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.schedules import Quantity, Table
-from ringwear_par.wear.laws import Law
+from ringwear_par.wear.law import Law
 
 T = TypeVar("T")
 
@@ -73,7 +73,7 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
     --------
     >>> import ringwear_par as rw
     >>> case = rw.read_case("scripts/cases/paper.toml", {"wear.lower.k": "1e-5 mm3/(N m)"})
-    >>> case.laws[0]
+    >>> case.wear_lower
     threshold(k=1e-08, p0=40.0)
     """
     if not isinstance(source, Mapping):

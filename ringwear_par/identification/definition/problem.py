@@ -12,7 +12,6 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files.smoothing import Smoothing, curve
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.wear.laws import LayeredLaw
 
 #: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
@@ -346,7 +345,7 @@ class Experiment:
     @property
     def bends_within(self) -> bool:
         """Whether layers may be worn through, where readings have kinks."""
-        return any(isinstance(law, LayeredLaw) for law in self.case.laws)
+        return any(len(laws) > 1 for laws in self.case.laws)
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def check_process(problem: Problem, faults: list[str]) -> None:
         return
     for key in process:
         body = body_of_wear(key)
-        if all(experiment.case.laws[BODIES.index(body)] is None for experiment in experiments):
+        if not any(experiment.case.laws[BODIES.index(body)] for experiment in experiments):
             faults.append(
                 f"{name}: fit.process.{key}: {body} does not wear; must be a body with a wear law"
             )
