@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.keys import (
     base_keys,
-    flatten,
+    changes_of,
     kinds,
     read_keys,
     source_tables,
@@ -69,39 +69,48 @@ def read_fit(
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    case_units = written_units(tables.get("case"), folder)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
+    units = written_units(tables.get("case"), folder)
+    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), units, faults)
     alone = bool(running) and not others
     files = FileStore(folder, growing=alone)
-    reader = ExperimentReader(name, folder, base, files, plans)
+    reader = ExperimentReader(name, folder, base, files, plans, parameters, faults)
     tests = _experiment_tables(name, tables, base, files, faults)
     if running:
         tests = [one for one in tests if (_name_in(one[1]) == running) is alone]
-    experiments = reader.all(tests, parameters, faults)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
-    if faults:
-        raise InputError(*_said_once(faults))
+    experiments = reader.all(tests)
+    design = _read_design_space(f"{name}: design", tables.get("design", {}), units, faults)
+    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), units, folder, faults)
+    _refuse(faults)
     whose = f"{name}: without {legible(running)}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
         return problem
-    for check in (_check_counts, check_scatter, check_censored, check_process):
-        check(problem, faults)
-    if faults:  # many of which are those of the other laws too
-        raise InputError(*_said_once(faults))
+    check_censored(problem, faults)
+    _check(problem, faults)
+    _refuse(faults)  # many of which are those of the other laws too
     alternatives = {}
-    for law, (changes, law_parameters) in laws.items():
-        changed = reader.changed(law, experiments, changes, law_parameters, faults)
-        alternatives[law] = replace(
-            problem, name=f"{name}: compare.{law}", parameters=law_parameters, experiments=changed
-        )
-        if len(changed) == len(experiments):
-            for check in (_check_counts, check_scatter, check_process):
-                check(alternatives[law], faults)
-    if faults:
-        raise InputError(*_said_once(faults))
+    for law, (changes, fitted) in laws.items():
+        place = f"{name}: compare.{legible(law)}"
+        other = replace(reader, name=place, parameters=fitted, law=changes).all(tests)
+        alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
+        if not faults:
+            _check(alternatives[law], faults)
+    _refuse(faults)
     return replace(problem, alternatives=alternatives)
+
+
+def _refuse(faults: Sequence[str]) -> None:
+    """Raise InputError of faults; one that several tests have is said of the first one only."""
+    tests: dict[str, list[str]] = {}
+    for fault in faults:
+        test = _TEST.match(fault)
+        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
+    said = [
+        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
+        for first, *repeats in tests.values()
+    ]
+    if said:
+        raise InputError(*said)
 
 
 def experiment_names(source: Path) -> list[str]:
@@ -147,18 +156,6 @@ def _experiment_tables(
         return tables
     tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
     return [*tables, *tests.items()]
-
-
-def _said_once(faults: Sequence[str]) -> list[str]:
-    """Return the faults; one that several tests have is said of the first one only."""
-    tests: dict[str, list[str]] = {}
-    for fault in faults:
-        test = _TEST.match(fault)
-        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
-    return [
-        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
-        for first, *repeats in tests.values()
-    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
@@ -212,38 +209,33 @@ def _read_design_space(
 
 
 def _read_alternatives(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    place: str, table: Any, case_units: Mapping[str, str], folder: Path, faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
+    """Return case keys and fitted keys of other laws."""
     laws = {}
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table")
         return {}
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)
-        changed = reader.raw("set", {})
-        fitted = reader.raw("parameters")
-        parameters = read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units)
+        changes, fitted = changes_of(reader, folder), reader.raw("parameters")
+        laws[name] = (
+            changes,
+            read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units),
+        )
         reader.finish()
-        try:
-            changes = flatten(
-                changed if isinstance(changed, Mapping) else {"": changed}, reader.place
-            )
-        except InputError as error:
-            faults += error.faults
-            continue
-        laws[name] = changes, parameters
     return laws
 
 
-def _check_counts(problem: Problem, faults: list[str]) -> None:
-    """Refuse a problem with fewer readings than unknowns."""
-    readings = sum(experiment.n for experiment in problem.experiments)
+def _check(problem: Problem, faults: list[str]) -> None:
+    """Refuse what readings cannot tell, as more unknowns than there are readings."""
     series = [record for experiment in problem.experiments for record in experiment.series]
-    free = sum(p.prior is None for p in problem.parameters) + sum(
-        n.free for record in series for n in record.nuisances
-    )
-    if readings < free:
+    free = sum(p.prior is None for p in problem.parameters)
+    free += sum(n.free for record in series for n in record.nuisances)
+    if (readings := sum(record.n for record in series)) < free:
         faults.append(
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )
+    check_scatter(problem, faults)
+    check_process(problem, faults)

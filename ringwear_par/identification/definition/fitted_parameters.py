@@ -20,7 +20,7 @@ from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.smooth_keys import elastic_numbers, smooth_keys
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
+from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
@@ -106,31 +106,16 @@ def _parameter(
         )
         faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
-    before = len(faults)
-    scatter = None
-    if isinstance(table, Mapping):
-        unit, converted = base_unit(key), dict[str, Any]()
-        scatter = read_scatter(
-            place, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
-        )
-        for name, value in table.items():
-            if name == "scatter":
-                continue
-            try:
-                converted[name] = in_unit(value, unit)
-            except RejectedError as reason:
-                allowed_unit = f"must be in {unit} ({reason})" if unit else f"{reason}"
-                sentence = f"{place}: {name} = {shortened(value)}: {allowed_unit}"
-                faults.append(Fault(sentence, f"fit.parameters.{key}.{name}", "unit"))
-        if len(converted) < len(table.keys() - {"scatter"}):
-            return None
-        if not named_unit and has_unit(table.get("start")):
-            named_unit = number_and_unit(table["start"])[1]
-        table = converted
+    before, unit = len(faults), base_unit(key)
+    written = table.get("start") if isinstance(table, Mapping) else None
+    if not named_unit and has_unit(written):
+        named_unit = number_and_unit(str(written))[1]
+    if unit is None:  # of a user's law, whose numbers have any unit
+        table = in_unit_where_right(table, None)
     reader = TableReader(place, table, faults, PARAMETER)
-    reader.raw("scatter")  # read above
-    start, bounds = reader.read("start"), reader.read("bounds")
-    log, prior = reader.read("scale") == "log", reader.read("prior")
+    start, bounds, prior = (reader.read(name, unit=unit) for name in ("start", "bounds", "prior"))
+    log = reader.read("scale") == "log"
+    scatter = read_scatter(place, key, reader.raw("scatter"), log, unit or "", faults)
     reader.finish()
     if bounds is not None:
         if log and bounds[0] <= 0:

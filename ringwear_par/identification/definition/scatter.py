@@ -85,12 +85,6 @@ def read_scatter(
     return Scatter(known, scale, 0.5 * scale if start is None else start)
 
 
-def read_groups(reader: TableReader, name: str) -> tuple[str, str, str]:
-    """Return the specimen, batch and laboratory of an experiment of some name."""
-    specimen, batch, lab = (reader.read(group) for group in GROUPS)
-    return (specimen or name, batch or "", lab or "")
-
-
 def check_scatter(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of the scatters to the faults."""
     name, experiments, settings = problem.name, problem.experiments, problem.settings
