@@ -23,7 +23,6 @@ from ringwear_par.cases.units import (
     factor,
     has_unit,
     number_and_unit,
-    unit_of_anything,
     unit_of_column,
 )
 from ringwear_par.cases.values import RejectedError
@@ -142,8 +141,12 @@ def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None
     try:
         return factor(unit, base)
     except RejectedError:
-        state = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {state}: must be the unit of {UNITS[base]}", key, "unit")
+        rule = f"must be the unit of {UNITS[base]}"
+        if unit and key in reader:
+            reader.wrong(key, rule, "unit")
+        else:
+            state = f"= {shortened(unit)}" if unit else "is missing"
+            reader.fault(f"{key} {state}: {rule}", key, "unit")
         return None
 
 
@@ -279,33 +282,25 @@ def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tupl
 
 
 def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArray:
-    """Return the standard deviations in a column of a table."""
+    """Return the standard deviations in a column, in its own unit or that of the readings."""
     data, rows, series = readings.data, readings.rows, readings.series
     assert data is not None
     assert rows is not None
-    unknown, lines = np.full(series.n, np.nan), lines_of(series)
+    sd, lines, base = np.full(series.n, np.nan), lines_of(series), BASE[series.kind]
     if column not in data.columns:
         rule = f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
         reader.wrong("sd", rule)
-        return unknown
-    label = data.label(column)
-    named = _other_unit(label, series.unit)
-    if not named and unit_of_column(label, series.unit) is None:
-        named = legible(unit_of_anything(label) or "")
-    if named:
-        rule = f"the column is in {named} by its name; must be in {series.unit}, as the readings"
-        reader.wrong("sd", rule, "unit")
-        return unknown
+        return sd
     filled = data.filled(column)[rows]
     if not filled.all():
         reader.fault(f"{lines[int(filled.argmin())]}{column} is empty; must be a number > 0")
-        return unknown
-    sd = unknown
-    with _as_faults(reader, "file"):
-        sd = series.factor * data.numbers(column, rows)
-    if (wrong := np.flatnonzero(sd <= 0)).size:
-        values = f"{column} = {sd[wrong[0]] / series.factor:g}{and_more(wrong.size, 'line')}"
-        reader.fault(f"{lines[wrong[0]]}{values}: must be a number > 0")
+        return sd
+    with _as_faults(reader, "sd"):
+        scale = factor(unit_by_name(data, column, base) or series.unit, base)
+        sd = scale * data.numbers(column, rows)
+        if (wrong := np.flatnonzero(sd <= 0)).size:
+            values = f"{column} = {sd[wrong[0]] / scale:g}{and_more(wrong.size, 'line')}"
+            reader.fault(f"{lines[wrong[0]]}{values}: must be a number > 0")
     return sd
 
 
