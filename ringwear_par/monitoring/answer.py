@@ -241,7 +241,7 @@ def time_to_goal(
     at, sds = np.linspace(test.times.max(), end, _TIMES), []
     for time in at:
         information, part = before, part_of(planned, planned.times <= time * (1.0 + 1e-9))
-        jacobian = follower.read(follower.parts, part) @ slopes
+        jacobian = follower.weights(part) @ (follower.columns @ slopes)
         for noise, growth in follower.likelihood_like(specimen, part).noises:
             white = noise(jacobian[noise.rows])
             taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
@@ -267,7 +267,7 @@ def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
 
     Wear that is random is a Gaussian process here, whose past the readings tell.
     """
-    time, approach = follower.time, follower.parts["approach"]
+    time, approach = follower.time, follower.columns[follower.places["approach"]]
     some, old, random = specimen.some(PREDICTED), specimen.likelihood, np.random.default_rng(1)
     depths, zero = some.v @ (approach - approach[0]).T, np.zeros(len(time))
     for body, (slope, worn) in enumerate(old.setting.clocks):

@@ -8,7 +8,7 @@ Methods in Practice, 197-223). All of it starts from the draws before the test, 
 before.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,21 +95,22 @@ class Follower:
         self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
         bodies = [body_of_wear(key) for key in problem.settings.process]
         self.m, (test,) = x.shape[1], problem.experiments
-        self._plan = _plan(test, bodies)
-        readings.problem = replace(problem, experiments=(self._plan,))
+        plan = _plan(test, bodies)
+        readings.problem = replace(problem, experiments=(plan,))
         #: of the readings of the plan; how these follow random wear and calibrations of inputs
         self.emulator, self.setting = _emulated(readings, x)
         #: (steps,) s, ends of steps, the start included
-        self.time = self._plan.series[0].x
-        #: readings (n, 1 + r) of the plan by 1 and the coordinates, by the names of series
-        self.parts = self._by_series(np.column_stack([self.emulator.mean, self.emulator.modes.T]))
+        self.time = plan.series[0].x
+        #: readings (n, 1 + r) of the plan by 1 and the coordinates; where those of series are
+        self.columns = np.column_stack([self.emulator.mean, self.emulator.modes.T])
+        self.places = {series.name: part for series, part in records(plan.series)}
         sizes = np.log(sizes[:, [BODIES.index(body) for body in bodies]])
         #: (s, m + bodies) before the test, see ``Specimen``
         self.before = np.column_stack([x, sizes])[self.emulator.holds(x)]
         self._v = self._coordinates(self.before)
         # (bodies, 1 + r) mm, worn at the end of the test
-        ends = [self.parts[f"volume.{body}"][-1] / test.case.area for body in bodies]
-        self._depths = np.reshape(ends, (len(bodies), self._v.shape[1]))
+        ends = [self.places[f"volume.{body}"].stop - 1 for body in bodies]
+        self._depths = self.columns[ends] / test.case.area
         #: (bodies,) mm, of the middle of the draws, of which shares are
         self.most = self._depths @ self._coordinates(np.median(x, axis=0)[None])[0]
 
@@ -117,9 +118,6 @@ class Follower:
     def error(self) -> float:
         """Largest rms error of a quantity of histories, over its spread among the draws."""
         return _SCALE * self.emulator.error
-
-    def _by_series(self, columns: FloatArray) -> dict[str, FloatArray]:
-        return {series.name: columns[part] for series, part in records(self._plan.series)}
 
     def _coordinates(self, x: FloatArray) -> FloatArray:
         return np.insert(self.emulator.coordinates(x[:, : self.m]), 0, 1.0, axis=1)
@@ -129,29 +127,30 @@ class Follower:
         sizes, depths = np.exp(x[:, self.m :]), np.maximum(v @ self._depths.T, 0.0)
         return np.clip(np.sqrt(sizes * depths) / self.most, *np.exp(LOG_SHARES))
 
-    def read(self, parts: Mapping[str, FloatArray], test: Experiment) -> FloatArray:
-        """Return the readings (n, ...) of a test by those of the plan, by the names of series."""
-        breaks, readings = (0.0, *test.case.breakpoints, test.case.time.end), []
-        for series in test.series:
-            part = parts[series.name]
+    def weights(self, test: Experiment) -> FloatArray:
+        """Return what readings (n,) of a test are of those of the plan, (n, n of the plan)."""
+        breaks = (0.0, *test.case.breakpoints, test.case.time.end)
+        weights = np.zeros((test.n, len(self.columns)))
+        for series, rows in records(test.series):
+            part = np.eye(len(self.time) if series.timed else series.n)
             if series.timed:
                 part = TimeInterpolation(self.time, series.x, breaks)(part)
-            readings.append(part)
-        return np.concatenate(readings)
+            weights[rows, self.places[series.name]] = part
+        return weights
 
     def readings(self, specimen: Specimen, test: Experiment) -> FloatArray:
         """Return the readings (s, n) of a test by the draws of a specimen."""
-        return specimen.v @ self.read(self.parts, test).T
+        return specimen.v @ (self.weights(test) @ self.columns).T
 
     def _setting_of(self, test: Experiment, loss: Loss) -> Setting:
         """Return the setting of a test before its readings are looked at."""
-        clocks = []
+        clocks, weights = [], self.weights(test)
         for felt, share in self.setting.clocks:
             depth = np.interp(test.times, self.time, share[: len(self.time)])
-            answer = self.read(self._by_series(felt * share), test)
+            answer = weights @ (felt * share)
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
-        scales = tuple(self.read(self._by_series(scale), test) for scale in self.setting.scales)
+        scales = tuple(weights @ scale for scale in self.setting.scales)
         before = Setting.before(test, loss, len(clocks))
         return replace(before, clocks=tuple(clocks), scales=scales)
 
@@ -167,7 +166,7 @@ class Follower:
 
     def _weighed(self, likelihood: TestLikelihood) -> Specimen:
         """Return the draws by a likelihood."""
-        both = self.read(self.parts, likelihood.test)
+        both = self.weights(likelihood.test) @ self.columns
         emulator = replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
         emulated = EmulatedLikelihood(likelihood, emulator)
         random = np.random.default_rng(self._seed + 1)

@@ -55,7 +55,7 @@ def _record(
 ) -> Panel:
     """Return the panel of a record, whose readings are a part of the test's."""
     tail = 0.5 * (1.0 - answer["level"])
-    steps = specimen.some(PREDICTED).v @ follower.parts[series.name].T
+    steps = specimen.some(PREDICTED).v @ follower.columns[follower.places[series.name]].T
     middle = follower.readings(specimen, specimen.test).mean(axis=0)
     added = specimen.likelihood.nuisance_draws(middle[None])[0][0, part]
     symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
