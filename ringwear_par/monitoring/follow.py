@@ -18,7 +18,7 @@ from mpi4py import MPI
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
-from ringwear_par.identification.definition.fit_file import experiment_names, read_fit
+from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
@@ -85,11 +85,12 @@ def run_follow(
         if faults:
             raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
-        return read_running(source, test), percent, mm
+        return read_running(source, test or ""), percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
     name = running.experiments[0].name
-    fit = after or fit_problem(on_first_rank(comm, lambda: _other_tests(source, name)), comm)
+    others = partial(read_fit, source, running=name, others=True)
+    fit = after or fit_problem(on_first_rank(comm, others), comm)
     known = on_first_rank(comm, lambda: fit_draws(fit))
 
     def monitor_of(problem: Problem) -> Monitor:
@@ -113,29 +114,18 @@ def _percent(text: str, faults: list[str]) -> float:
     return np.nan
 
 
-def read_running(source: Path, name: str | None = None) -> Problem:
-    """Return the problem of one experiment of a fit file, with its readings so far.
-
-    Parameters
-    ----------
-    name : of the experiment; None: the last one.
+def read_running(source: Path, name: str = "") -> Problem:
+    """Return the problem of one experiment of a fit file, "" the last, with its readings so far.
 
     Raises
     ------
     InputError : there is none, its faults, and what cannot be followed.
     """
-    names = experiment_names(source)
-    if not names:  # the fit file's own sentences say why
-        read_fit(source)
-    name = names[-1] if name is None else name
-    if name not in names:
-        known = ", ".join(map(legible, names))
-        raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
     problem = read_fit(source, running=name)
     (test,) = problem.experiments
     faults = [
-        f"{source}: {legible(name)}: {series.file or series.name}: {assumption}; its unit must be "
-        "given"
+        f"{source}: {legible(test.name)}: {series.file or series.name}: {assumption}; its unit "
+        "must be given"
         for series in test.series
         for assumption in series.assumptions
     ]
@@ -143,16 +133,6 @@ def read_running(source: Path, name: str | None = None) -> Problem:
         raise InputError(*faults)
     series = tuple(averaged(record, test.case.time.end) for record in test.series)
     return replace(problem, experiments=(replace(test, series=series),))
-
-
-def _other_tests(source: Path, name: str) -> Problem:
-    """Return the problem of the tests but one of a fit file, to be fitted before it."""
-    if len(experiment_names(source)) == 1:
-        raise InputError(
-            f"{source}: has no test but {legible(name)}; --after must name the folder of a fit of "
-            "others"
-        )
-    return read_fit(source, running=name, others=True)
 
 
 def _followed(problem: Problem, after: Path | None, draws: Draws) -> tuple[Problem, str, list[str]]:
@@ -201,14 +181,14 @@ def _loop(
         try:
             problem = read_running(source, name)
             files |= {*problem.hashes}
-            if frame != (frame := frame_of(problem)):
-                monitor = monitor_of(problem)
+            if (present_frame := frame_of(problem)) != frame:
+                monitor, frame = monitor_of(problem), present_frame
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
             if (reason := reason_of(error)) != warned:
                 log.warning("%s; the last answer stays until that changes", reason)
-            warned, frame = reason, None
+            warned = reason
             continue
         except StoppedError:
             break
