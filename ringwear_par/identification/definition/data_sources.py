@@ -71,19 +71,43 @@ def read_readings(
     None, and faults, where there are none; ``kind`` is a name in ``READING_KINDS``.
     """
     where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
-    single_key = next((key for key in ("file", *once) if key in reader), "")
-    if single_key and where in reader:
+    sources = once if kind == "through" else ("file", *once)
+    source = next((key for key in sources if key in reader), "")
+    if source and where in reader:
         reader.raw(where)
-        reader.wrong(
-            where,
-            f"must be absent beside {single_key}; it is for readings that are planned",
-            "conflict",
-        )
-    if "file" in reader and kind != "through":
+        rule = f"must be absent beside {source}; it is for readings that are planned"
+        reader.wrong(where, rule, "conflict")
+    if source == "file":
         return _from_file(reader, kind, end, files)
-    if "value" in reader and kind != "profile":
-        return _single(reader, kind, end if at is None else at)
-    return _planned(reader, kind, at, end, plans)
+    planned = source != "value"
+    if planned and not _may_be_planned(reader, kind, where, at, plans):
+        return None
+    value, key, unit = None if planned else reader.raw("value"), "unit", reader.raw("unit", "")
+    if isinstance(value, str) and "unit" not in reader:
+        key, unit = "value", number_and_unit(value)[1] if has_unit(value) else BASE[kind]
+    scale = _factor(reader, key, str(unit), BASE[kind])
+    x = np.array([end if at is None else at])
+    if planned and where in reader:
+        x = reader.read(where)
+    single = 0.0 if planned or scale is None else reader.read("value", unit=str(unit))
+    if x is None or scale is None or single is None:
+        return None
+    values = np.full(len(x), scale * single)
+    return Readings(_series(kind, x, values, str(unit), scale, planned=planned))
+
+
+def _may_be_planned(
+    reader: TableReader, kind: str, where: str, at: float | None, plans: bool
+) -> bool:
+    """Tell whether readings that are neither in a file nor a value may be planned; add faults."""
+    once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
+    enough = once or where in reader
+    if not enough or not plans:
+        rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
+        reader.wrong("value" if once else "file", rule)
+    for key in () if enough else ("columns", "units", "skip", "drop"):  # of a file
+        reader.raw(key)
+    return enough
 
 
 def _series(
@@ -92,48 +116,6 @@ def _series(
     """Return times or radii (n,) and values, in the units of a case, as a series."""
     sd = np.full(len(x), np.nan)
     return Series(kind, kind, x, value, sd, unit=unit, factor=scale, **more)
-
-
-def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
-    written = reader.raw("value")
-    if "unit" in reader or not isinstance(written, str):
-        unit, scale = _unit(reader, kind)
-    elif not has_unit(written):
-        reader.read("value")  # reports that it is no number
-        return None
-    else:
-        unit = number_and_unit(written)[1]
-        scale = _factor(reader, "value", unit, BASE[kind])
-    single = None if scale is None else reader.read("value", unit=unit)
-    if single is None or scale is None:
-        return None
-    return Readings(_series(kind, np.array([at]), np.array([scale * single]), unit, scale))
-
-
-def _planned(
-    reader: TableReader, kind: str, at: float | None, end: float, plans: bool
-) -> Readings | None:
-    """Return readings that are planned; None, and faults, where there are none."""
-    where = "r" if kind == "profile" else "times"
-    once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
-    missing = not (once or where in reader)
-    if missing or not plans:
-        rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
-        reader.wrong("value" if once else "file", rule)
-    if missing:
-        for key in ("columns", "units", "skip", "drop"):  # of a file
-            reader.raw(key)
-        return None
-    x = reader.read(where) if where in reader else np.array([end if at is None else at])
-    unit, scale = _unit(reader, kind)
-    if x is None or scale is None:
-        return None
-    return Readings(_series(kind, x, np.zeros(len(x)), unit, scale, planned=True))
-
-
-def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
-    unit = str(reader.raw("unit") or "")
-    return unit, _factor(reader, "unit", unit, BASE[kind])
 
 
 def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
@@ -209,21 +191,16 @@ def _column_unit(
     if missing := missing_column(data, column, role):
         reader.fault(missing, "columns")
         return None
-    if not unit:
-        faults = len(reader.faults)
-        with _as_faults(reader, "units"):
-            unit = unit_by_name(data, column, base, f", or units.{role} must be given") or ""
-        if len(reader.faults) > faults:
-            return None
-    scale = _factor(reader, f"units.{role}", unit or base, base)
-    if scale is not None and (named := _other_unit(data.label(column), unit or base)):
-        reader.fault(
-            f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
-            f"in {named} by its name; must be the same unit",
-            "units",
-            "unit",
-        )
-    return None if scale is None else (unit or "", scale)
+    faults, named = len(reader.faults), unit_of_column(data.label(column), base)
+    if not (unit or named):
+        with _as_faults(reader, "units"):  # one of something else
+            unit_by_name(data, column, base, f", or units.{role} must be given")
+    scale = _factor(reader, f"units.{role}", unit or named or base, base)
+    if scale and named and not math.isclose(factor(named, base), scale):
+        sentence = f"the column {legible(column)} of {data.name} is in {legible(named)} by its name"
+        state = f"units.{role} = {shortened(unit)}: {sentence}; must be the same unit"
+        reader.fault(state, "units", "unit")
+    return None if scale is None or len(reader.faults) > faults else (unit or named or "", scale)
 
 
 def _of_clock(x: FloatArray, end: float, first: str) -> tuple[FloatArray, tuple[str, ...]]:
@@ -239,12 +216,6 @@ def _of_clock(x: FloatArray, end: float, first: str) -> tuple[FloatArray, tuple[
             "are times of day, their column must have the date before them",
         )
     return x, ()
-
-
-def _other_unit(column: str, unit: str) -> str:
-    """Return the unit that a column's name ends with where it is not this one, else ""."""
-    named = unit_of_column(column, unit)
-    return "" if named is None or math.isclose(factor(named, unit), 1.0) else legible(named)
 
 
 def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
