@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 
 import ringwear_par as rw
 from ringwear_par.monitoring.answer import Monitor, part_of, time_to
-from ringwear_par.monitoring.follow import RunningTest, run_follow
+from ringwear_par.monitoring.follow import read_running, run_follow
 from ringwear_par.monitoring.follower import Follower
 
 pytestmark = pytest.mark.slow
@@ -74,7 +74,7 @@ def running(folder, name="z", more=(), **changed):
 
 def problem_of(path, **settings):
     """Return the problem of a running test."""
-    problem = RunningTest(path, None).read()
+    problem = read_running(path)
     return replace(problem, settings=replace(problem.settings, **settings))
 
 
@@ -209,7 +209,7 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
         growth = -3e-3 * (1.0 - np.exp(-times / max(20.0 + 7.0 * random.standard_normal(), 4.0)))
         sd = np.full(60, 2e-4)
         series = replace(test.series[0], x=times, value=z + growth, sd=sd, lines=None)
-        return monitor.answer(replace(problem, experiments=(replace(test, series=(series,)),)))
+        return monitor.answer(replace(problem, experiments=(replace(test, series=(series,)),)))[0]
 
     for seed in range(20):
         k = MATERIAL * np.exp(np.hypot(0.1, TAU) * random.standard_normal())
@@ -232,8 +232,8 @@ def test_readings_in_one_portion_or_many(folder):
     other = replace(test, series=(replace(test.series[0], value=0.7 * test.series[0].value),))
     monitor = monitor_of(problem, draws, 5e-3)
     for part in (other, *(part_of(test, test.times <= until) for until in (17.0, 40.0, END))):
-        answer = monitor.answer(replace(problem, experiments=(part,)))
-    assert json.dumps(answer) == json.dumps(monitor_of(problem, draws, 5e-3).answer(problem))
+        answer, _ = monitor.answer(replace(problem, experiments=(part,)))
+    assert json.dumps(answer) == json.dumps(monitor_of(problem, draws, 5e-3).answer(problem)[0])
 
 
 def test_profiles_limits_and_an_sd_that_is_fitted(folder):
@@ -259,7 +259,7 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     exact = quantiles_of(x, likelihood(y) - 0.5 * (x - np.log(MATERIAL)) ** 2 / (0.1**2 + TAU**2))
     check(quantiles_of_draws(follower_of(problem, draws).update(test)), exact)
     assert exact[2] - exact[0] < 0.1 * np.ptp(quantiles_of(*by_hand(alone, TRUE_K)))
-    assert monitor_of(problem, draws).answer(problem)["alarm"] is None
+    assert monitor_of(problem, draws).answer(problem)[0]["alarm"] is None
 
 
 def test_measured_friction_as_far_as_it_was_read(folder):

@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.keys import (
     base_keys,
-    flatten,
+    changes_of,
     kinds,
     read_keys,
     source_tables,
@@ -52,14 +52,14 @@ def read_fit(
     source: Path | str | Mapping[str, Any],
     *,
     plans: bool = False,
-    running: str = "",
+    running: str | None = None,
     others: bool = False,
 ) -> Problem:
     """Read a fit file with its case and all its measurements, or a dict of them. Not collective.
 
-    Planned readings only where ``plans``. Of a ``running`` experiment this one alone, whose files
-    grow and whose readings may be too few for a fit, or all ``others``. Raises InputError with all
-    faults.
+    Planned readings only where ``plans``. Of a ``running`` experiment ("": the last one) this one
+    alone, whose files grow and whose readings may be too few for a fit, or all ``others``. Raises
+    InputError with all faults.
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")
@@ -69,52 +69,70 @@ def read_fit(
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    case_units = written_units(tables.get("case"), folder)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
-    alone = bool(running) and not others
+    units = written_units(tables.get("case"), folder)
+    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), units, faults)
+    alone = running is not None and not others
     files = FileStore(folder, growing=alone)
-    reader = ExperimentReader(name, folder, base, files, plans)
+    reader = ExperimentReader(name, folder, base, files, plans, parameters, faults)
     tests = _experiment_tables(name, tables, base, files, faults)
-    if running:
-        tests = [one for one in tests if (_name_in(one[1]) == running) is alone]
-    experiments = reader.all(tests, parameters, faults)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
-    if faults:
-        raise InputError(*_said_once(faults))
-    whose = f"{name}: without {legible(running)}" if others else name
+    if running is not None:
+        tests = _chosen(name, tests, running, others)
+    experiments = reader.all(tests)
+    design = _read_design_space(f"{name}: design", tables.get("design", {}), units, faults)
+    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), units, folder, faults)
+    _refuse(faults)
+    whose = f"{name}: without {legible(running or '')}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
         return problem
-    for check in (_check_counts, check_scatter, check_censored, check_process):
-        check(problem, faults)
-    if faults:  # many of which are those of the other laws too
-        raise InputError(*_said_once(faults))
+    check_censored(problem, faults)
+    _check(problem, faults)
+    _refuse(faults)  # many of which are those of the other laws too
     alternatives = {}
-    for law, (changes, law_parameters) in laws.items():
-        changed = reader.changed(law, experiments, changes, law_parameters, faults)
-        alternatives[law] = replace(
-            problem, name=f"{name}: compare.{law}", parameters=law_parameters, experiments=changed
-        )
-        if len(changed) == len(experiments):
-            for check in (_check_counts, check_scatter, check_process):
-                check(alternatives[law], faults)
-    if faults:
-        raise InputError(*_said_once(faults))
+    for law, (changes, fitted) in laws.items():
+        place = f"{name}: compare.{legible(law)}"
+        other = replace(reader, name=place, parameters=fitted, law=changes).all(tests)
+        alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
+        if not faults:
+            _check(alternatives[law], faults)
+    _refuse(faults)
     return replace(problem, alternatives=alternatives)
 
 
-def experiment_names(source: Path) -> list[str]:
-    """Return the names of the tests of a fit file; its other faults are left to ``read_fit``."""
-    name, folder, tables, _ = source_tables(source, "fit")
-    base = base_keys(name, folder, tables, False, [])
-    found = _experiment_tables(name, tables, base, FileStore(folder), [])
-    return [named for _, table in found if (named := _name_in(table))]
+def _refuse(faults: Sequence[str]) -> None:
+    """Raise InputError of faults; one that several tests have is said of the first one only."""
+    tests: dict[str, list[str]] = {}
+    for fault in faults:
+        test = _TEST.match(fault)
+        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
+    said = [
+        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
+        for first, *repeats in tests.values()
+    ]
+    if said:
+        raise InputError(*said)
 
 
-def _name_in(table: Any) -> str:
-    name = table.get("name") if isinstance(table, Mapping) else None
-    return name if isinstance(name, str) else ""
+def _chosen(
+    name: str, tests: list[tuple[str, Any]], running: str, others: bool
+) -> list[tuple[str, Any]]:
+    """Return the table of the running test, or of all others, out of those of a fit file."""
+    names = [table.get("name") if isinstance(table, Mapping) else None for _, table in tests]
+    known = [named for named in names if isinstance(named, str)]
+    if not known:  # which their readers say
+        return tests
+    running = running or known[-1]
+    if running not in known:
+        every = ", ".join(map(legible, known))
+        raise InputError(f"--test = {legible(running)}: must be one of {every} of {name}")
+    if others and len(tests) == 1:
+        raise InputError(
+            f"{name}: has no test but {legible(running)}; --after must name the folder of a fit of "
+            "others"
+        )
+    return [
+        one for one, named in zip(tests, names, strict=True) if (named == running) is not others
+    ]
 
 
 def _experiment_tables(
@@ -147,18 +165,6 @@ def _experiment_tables(
         return tables
     tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
     return [*tables, *tests.items()]
-
-
-def _said_once(faults: Sequence[str]) -> list[str]:
-    """Return the faults; one that several tests have is said of the first one only."""
-    tests: dict[str, list[str]] = {}
-    for fault in faults:
-        test = _TEST.match(fault)
-        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
-    return [
-        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
-        for first, *repeats in tests.values()
-    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
@@ -212,38 +218,33 @@ def _read_design_space(
 
 
 def _read_alternatives(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    place: str, table: Any, case_units: Mapping[str, str], folder: Path, faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
+    """Return case keys and fitted keys of other laws."""
     laws = {}
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table")
         return {}
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)
-        changed = reader.raw("set", {})
-        fitted = reader.raw("parameters")
-        parameters = read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units)
+        changes, fitted = changes_of(reader, folder), reader.raw("parameters")
+        laws[name] = (
+            changes,
+            read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units),
+        )
         reader.finish()
-        try:
-            changes = flatten(
-                changed if isinstance(changed, Mapping) else {"": changed}, reader.place
-            )
-        except InputError as error:
-            faults += error.faults
-            continue
-        laws[name] = changes, parameters
     return laws
 
 
-def _check_counts(problem: Problem, faults: list[str]) -> None:
-    """Refuse a problem with fewer readings than unknowns."""
-    readings = sum(experiment.n for experiment in problem.experiments)
+def _check(problem: Problem, faults: list[str]) -> None:
+    """Refuse what readings cannot tell, as more unknowns than there are readings."""
     series = [record for experiment in problem.experiments for record in experiment.series]
-    free = sum(p.prior is None for p in problem.parameters) + sum(
-        n.free for record in series for n in record.nuisances
-    )
-    if readings < free:
+    free = sum(p.prior is None for p in problem.parameters)
+    free += sum(n.free for record in series for n in record.nuisances)
+    if (readings := sum(record.n for record in series)) < free:
         faults.append(
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )
+    check_scatter(problem, faults)
+    check_process(problem, faults)

@@ -18,9 +18,9 @@ from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
-from ringwear_par.cases.smooth_keys import elastic_numbers, smooth_keys
+from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
+from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
@@ -106,31 +106,16 @@ def _parameter(
         )
         faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
-    before = len(faults)
-    scatter = None
-    if isinstance(table, Mapping):
-        unit, converted = base_unit(key), dict[str, Any]()
-        scatter = read_scatter(
-            place, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
-        )
-        for name, value in table.items():
-            if name == "scatter":
-                continue
-            try:
-                converted[name] = in_unit(value, unit)
-            except RejectedError as reason:
-                allowed_unit = f"must be in {unit} ({reason})" if unit else f"{reason}"
-                sentence = f"{place}: {name} = {shortened(value)}: {allowed_unit}"
-                faults.append(Fault(sentence, f"fit.parameters.{key}.{name}", "unit"))
-        if len(converted) < len(table.keys() - {"scatter"}):
-            return None
-        if not named_unit and has_unit(table.get("start")):
-            named_unit = number_and_unit(table["start"])[1]
-        table = converted
+    before, unit = len(faults), base_unit(key)
+    written = table.get("start") if isinstance(table, Mapping) else None
+    if not named_unit and has_unit(written):
+        named_unit = number_and_unit(str(written))[1]
+    if unit is None:  # of a user's law, whose numbers have any unit
+        table = in_unit_where_right(table, None)
     reader = TableReader(place, table, faults, PARAMETER)
-    reader.raw("scatter")  # read above
-    start, bounds = reader.read("start"), reader.read("bounds")
-    log, prior = reader.read("scale") == "log", reader.read("prior")
+    start, bounds, prior = (reader.read(name, unit=unit) for name in ("start", "bounds", "prior"))
+    log = reader.read("scale") == "log"
+    scatter = read_scatter(place, key, reader.raw("scatter"), log, unit or "", faults)
     reader.finish()
     if bounds is not None:
         if log and bounds[0] <= 0:
@@ -167,50 +152,28 @@ def unit_of_key(problem: Problem, key: str) -> str:
 def refuse_unfit(
     place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key on which a case does not depend smoothly, or out of order."""
-    allowed, elastic = smooth_keys(case), elastic_numbers(case)
-    for parameter in parameters:
-        if parameter.key in elastic:
-            faults += _faults_of_bounds(place, parameter, case)
-        if parameter.key not in allowed:
-            similar = difflib.get_close_matches(parameter.key, allowed, n=3, cutoff=0.0)
-            faults.append(
-                f"{place}: {parameter.key}: cannot be fitted: the history does not depend on it "
-                f"smoothly; must be a key such as {', '.join(similar)}"
-            )
-    _refuse_order(place, parameters, case, faults)
+    """Add a fault for each key that a case does not depend on smoothly, or not up to its bounds.
 
-
-def _refuse_order(
-    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
-) -> None:
-    """Add a fault where bounds of one key break a law's rule beside the value of another.
-
-    As k_start of at least k. Where both are fitted, values out of order are improbable.
+    As of a layer that is thicker than its body, or of k_start of less than k. Where both of these
+    are fitted, values out of order are improbable.
     """
-    bounds = {parameter.key: parameter.bounds for parameter in parameters}
-    for table, law in case.laws_by_table.items():
-        for rule in () if law is None else law.kind.declared:
-            larger, smaller = f"{table}.{rule.name}", f"{table}.{rule.at_least}"
-            if law is None or not rule.at_least or (larger in bounds) == (smaller in bounds):
-                continue
-            low = bounds[larger][0] if larger in bounds else law.values[rule.name]
-            high = bounds[smaller][1] if smaller in bounds else law.values[rule.at_least]
-            if isinstance(low, float | int) and isinstance(high, float | int) and low < high:
-                faults.append(
-                    f"{place}: bounds let {larger} be {low:g}, less than {smaller}, {high:g}; must "
-                    "keep it as large, or both be fitted"
-                )
-
-
-def _faults_of_bounds(place: str, parameter: FittedParameter, case: Case) -> list[str]:
-    """Return why there is no case at a bound, as of a layer that is thicker than its body."""
-    for bound in parameter.bounds:
-        try:
-            case.replace({parameter.key: bound})
-        except InputError as error:
-            return [f"{place}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
-    return []
+    allowed = smooth_keys(case)
+    for key, bounds in ((parameter.key, parameter.bounds) for parameter in parameters):
+        if key not in allowed:
+            similar = difflib.get_close_matches(key, allowed, n=3, cutoff=0.0)
+            faults.append(
+                f"{place}: {key}: cannot be fitted: the history does not depend on it smoothly; "
+                f"must be a key such as {', '.join(similar)}"
+            )
+            continue
+        others = {parameter.key for parameter in parameters} - {key}
+        for bound in bounds:
+            try:
+                case.replace({key: bound})
+            except InputError as error:
+                if not any(other in error.faults[0] for other in others):
+                    fault = f"no case at its bound {bound:g}: {error.faults[0]}"
+                    faults.append(f"{place}: {key}: {fault}")
 
 
 def refuse_twice(
