@@ -37,10 +37,10 @@ class Fault(NamedTuple):
 
 FAULTS = [
     # elasticity: kernels, quadrature, assembly, condensation, stress
-    Fault("ring kernel", "elasticity/_rings.h", "k1 = 3.0 - 4.0 * nu", "k1 = 3.0 - 3.9 * nu",
+    Fault("ring kernel", "elasticity/_rings.h", "(3.0 - 4.0 * nu)", "(3.0 - 3.9 * nu)",
           "elasticity/test_kernels.py::test_kernels_are_the_integrated_tensors"),
     Fault("moments near the axis", "elasticity/_rings.h", "0.0061558297", "0.0061558397",
-          "elasticity/test_kernels.py::test_moments_keep_their_digits"),
+          "elasticity/test_kernels.py::test_kernels_are_the_integrated_tensors"),
     Fault("singular quadrature", "elasticity/bem/quadrature.py", "_SINGULAR_POWER = 5",
           "_SINGULAR_POWER = 1", "elasticity/test_quadrature.py"),
     Fault("traction of layers", "elasticity/bem/systems.py", ", traction) / zone.material.young",
@@ -58,8 +58,8 @@ FAULTS = [
     Fault("default grading", "elasticity/mesh.py", "    grading: float = 2.5",
           "    grading: float = 1.5", "elasticity/test_default_mesh.py"),
     Fault("stress kernel", "elasticity/_rings.h",
-          "cd * b * (w1 * cos3 + 3.0 * r * r1 * sk0)",
-          "cd * b * (w1 * cos3 + 2.9 * r * r1 * sk0)", "elasticity/test_kernels.py"),
+          "3.0 * integral(square, re5)", "2.9 * integral(square, re5)",
+          "elasticity/test_kernels.py"),
     Fault("the upper body's place", "elasticity/stress/recovery.py",
           "displacement[:, 1] -= approach", "displacement[:, 1] += approach",
           "elasticity/test_fields.py::test_equilibrium_and_bodies_that_meet"),

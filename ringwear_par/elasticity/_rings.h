@@ -44,6 +44,9 @@ enum {
     STRESS_PAIRS = 10    /* displacements of the boundary equation, or stresses */
 };
 
+typedef double Row[ROW];
+typedef const double *Doubles;
+typedef const int64_t *Integers;
 typedef double Vector __attribute__((vector_size(8 * VECTOR), aligned(8), may_alias));
 
 /* Field points with the radii of their sources, and kernels there: of each pair that which
@@ -145,10 +148,9 @@ INLINE void moments_by_recursion(double r, double a, double b, Powers i[5])
 
 /* sin((k + 1/2) pi / 20)^2 */
 static const double SIN2[THETA] = {
-    0.0061558297024311365, 0.05449673790581606, 0.14644660940672624,
-    0.2730047501302265, 0.4217827674798846, 0.5782172325201155,
-    0.7269952498697734, 0.8535533905932737, 0.9455032620941839,
-    0.9938441702975689};
+    0.0061558297024311365, 0.05449673790581606, 0.14644660940672624, 0.2730047501302265,
+    0.4217827674798846, 0.5782172325201155, 0.7269952498697734, 0.8535533905932737,
+    0.9455032620941839, 0.9938441702975689};
 
 /* The same near the axis or far from the source, where they hardly vary over the circle. */
 static void moments_by_quadrature(double r, double a, double b, Powers i[5])
@@ -326,11 +328,6 @@ typedef struct {
     double r, z, dr, dz, length, nr, nz;
 } Element;
 
-/* See quadrature.py: n points serve where distances of the ends over the length are reach[n] */
-typedef struct {
-    const double *reach, *points, *weights, *singular_points, *singular_weights;
-} Rules;
-
 /* What is integrated for which sources and added where, see integrate_rows in _rings.pyx */
 typedef struct {
     int64_t count;
@@ -339,7 +336,7 @@ typedef struct {
     const double *sources;
     const int64_t *nodes, *rows;
     double *matrix, *own;
-    Rules rules;
+    const double *reach, *points, *weights; /* rules, see quadrature.py */
     /* the element; nodes, columns and factors there */
     Element e;
     const int64_t *local, *columns;
@@ -349,7 +346,7 @@ typedef struct {
     double r[ROW], a[ROW], b[ROW], z0[ROW];
     Tile tile;
     /* integrals: of each pair's second kernel times the three shape functions and of its first
-       kernel; of how many parts of the element */
+       kernel; over how many parts of the element */
     double of[STRESS_PAIRS][4][ROW];
     int parts;
 } Work;
@@ -367,23 +364,24 @@ static void set_sources(Work *w, const int64_t *sources, int count, int at)
     w->parts = 0;
 }
 
-/* Add the integrals over a part of the element for `count` sources, by n points with places, from
-   where the offsets are, and weights over its length. Where a source is its node `at`, elsewhere -1,
-   that node's shape function is left out. */
-VERSIONS static void integrate(Work *w, int count, int at, int n, const double *place,
-                               const double *weight)
+/* Add the integrals over a part of the element for `count` sources, by a rule of n points, 0 is the
+   singular one. The part has a start, from where the offsets are, and a span, backwards if negative,
+   over the element's length. Where a source is its node `at`, elsewhere -1, that node's shape
+   function is left out. */
+VERSIONS static void integrate(Work *w, int count, int at, int rule, double start, double span)
 {
-    const double origin = at < 0 ? 0.0 : 0.5 * at;
-    double g[TILE], h[TILE][3];
+    const double *points = w->points + rule * MAX_POINTS, *weights = w->weights + rule * MAX_POINTS;
+    const int n = rule ? rule : MAX_POINTS;
+    double g[MAX_POINTS], h[MAX_POINTS][3];
     for (int q = 0; q < n; q++) {
         double *r = w->tile.r + q * count, *a = w->tile.a + q * count, *b = w->tile.b + q * count;
+        const double place = start + span * points[q], t = place + (at < 0 ? 0.0 : 0.5 * at);
         for (int i = 0; i < count; i += VECTOR) {
             *(Vector *)(r + i) = *(const Vector *)(w->r + i);
-            *(Vector *)(a + i) = *(const Vector *)(w->a + i) + place[q] * w->e.dr;
-            *(Vector *)(b + i) = *(const Vector *)(w->b + i) + place[q] * w->e.dz;
+            *(Vector *)(a + i) = *(const Vector *)(w->a + i) + place * w->e.dr;
+            *(Vector *)(b + i) = *(const Vector *)(w->b + i) + place * w->e.dz;
         }
-        const double t = origin + place[q];
-        g[q] = w->e.length * weight[q];
+        g[q] = w->e.length * fabs(span) * weights[q];
         h[q][0] = g[q] * (1.0 - t) * (1.0 - 2.0 * t);
         h[q][1] = g[q] * 4.0 * t * (1.0 - t);
         h[q][2] = g[q] * t * (2.0 * t - 1.0);
@@ -406,55 +404,38 @@ VERSIONS static void integrate(Work *w, int count, int at, int n, const double *
     w->parts++;
 }
 
-/* Return the least n points that serve, more than MAX_POINTS: none do. From the last answer on, as
-   it is often the same. */
-INLINE int points_needed(const Rules *rules, double ratio, int n)
+/* Return the least n points that serve where distances of the ends over the length are ratio, more
+   than MAX_POINTS: none do. From the last answer on, as it is often the same. */
+INLINE int points_needed(const double *reach, double ratio, int n)
 {
-    while (n > 1 && rules->reach[n - 1] <= ratio) n--;
-    while (n <= MAX_POINTS && rules->reach[n] > ratio) n++;
+    while (n > 1 && reach[n - 1] <= ratio) n--;
+    while (n <= MAX_POINTS && reach[n] > ratio) n++;
     return n;
 }
 
-/* Integrate over a part of the element, by a rule over `span` from a place on. */
-static void integrate_part(Work *w, int count, int at, int n, const double *points,
-                           const double *weights, double from, double span)
-{
-    double place[MAX_POINTS], weight[MAX_POINTS];
-    for (int q = 0; q < n; q++) {
-        place[q] = from + span * points[q];
-        weight[q] = fabs(span) * weights[q];
-    }
-    integrate(w, count, at, n, place, weight);
-}
-
 /* Integrate over a part that is close to the source, halved as often as rules need; 0: too close. */
-static int integrate_near(Work *w, int at, double from, double to, int depth)
+static int integrate_near(Work *w, int at, double start, double span, int depth)
 {
-    const double dr = w->e.dr, dz = w->e.dz, middle = 0.5 * (from + to);
-    const double distances = hypot(w->a[0] + from * dr, w->b[0] + from * dz)
-                             + hypot(w->a[0] + to * dr, w->b[0] + to * dz);
-    const int n = points_needed(&w->rules, distances / (w->e.length * (to - from)), 1);
+    const double a = w->a[0] + start * w->e.dr, b = w->b[0] + start * w->e.dz;
+    const double distances = hypot(a, b) + hypot(a + span * w->e.dr, b + span * w->e.dz);
+    const int n = points_needed(w->reach, distances / (w->e.length * span), 1);
     if (n > MAX_POINTS)
-        return depth < DEEPEST && integrate_near(w, at, from, middle, depth + 1)
-               && integrate_near(w, at, middle, to, depth + 1);
-    integrate_part(w, 1, at, n, w->rules.points + n * MAX_POINTS, w->rules.weights + n * MAX_POINTS,
-                   from, to - from);
+        return depth < DEEPEST && integrate_near(w, at, start, 0.5 * span, depth + 1)
+               && integrate_near(w, at, start + 0.5 * span, 0.5 * span, depth + 1);
+    integrate(w, 1, at, n, start, span);
     return 1;
 }
 
-/* Integrate over the element around the source, its node `at`, by a singular rule on both sides. */
+/* Integrate over the element around the source, its node `at`, by the singular rule on both sides;
+   near the axis, where kernels change over the radius, not beyond that. */
 static int integrate_around(Work *w, int at)
 {
-    const double reach = w->r[0] / w->e.length; /* near the axis kernels change over the radius */
+    const double reach = w->r[0] / w->e.length;
     for (int side = -1; side <= 1; side += 2) {
         const double whole = side < 0 ? 0.5 * at : 1.0 - 0.5 * at;
         const double span = reach > 0.0 && whole > 1.5 * reach ? reach : whole;
-        if (whole == 0.0) continue;
-        integrate_part(w, 1, at, MAX_POINTS, w->rules.singular_points, w->rules.singular_weights,
-                       0.0, side * span);
-        if (span < whole
-            && !integrate_near(w, at, side < 0 ? -whole : span, side < 0 ? -span : whole, 0))
-            return 0;
+        if (whole > 0.0) integrate(w, 1, at, 0, 0.0, side * span);
+        if (span < whole && !integrate_near(w, at, side < 0 ? -whole : span, whole - span, 0)) return 0;
     }
     return 1;
 }
@@ -464,7 +445,7 @@ static int integrate_around(Work *w, int at)
    t* needs no kernels of its own. The fields are uniform along z; turn; or are u* = (r1 e_r - lateral
    (z1 - z0) e_z) / r, which has no axial stress, and stresses that stay finite as Poisson's ratio
    goes to 1/2; its traction, along r, is star over r. */
-VERSIONS static void set_own(const Work *w, int pair, int count, double own[ROW])
+VERSIONS static void set_own(const Work *w, int pair, int count, double *restrict own)
 {
     const double lateral = 2.0 * w->nu / (1.0 - w->nu), star = w->e.nr / (1.0 - w->nu);
     const double(*h)[ROW] = w->of[pair], (*axial)[ROW] = w->of[pair + w->components];
@@ -486,19 +467,18 @@ VERSIONS static void set_own(const Work *w, int pair, int count, double own[ROW]
 static void add(const Work *w, const int64_t *sources, int count)
 {
     double own[ROW];
+    int64_t rows[TILE];
     for (int pair = 0; pair < w->pairs; pair++) {
-        const int64_t *of_component =
-            w->rows + (pair < w->components ? pair : pair - w->components) * w->count;
-        double *own_row = w->own + pair * w->count;
-        int64_t rows[TILE];
+        const int direction = pair / w->components;
+        const int64_t *of_component = w->rows + (pair - (direction > 0) * w->components) * w->count;
         set_own(w, pair, count, own);
         for (int i = 0; i < count; i++) {
             rows[i] = of_component[sources[i]];
-            own_row[sources[i]] += own[i];
+            w->own[pair * w->count + sources[i]] += own[i];
         }
         for (int k = 0; k < 4; k++) {
-            const int64_t column = w->columns[4 * pair + k];
-            const double factor = w->factors[4 * pair + k], *restrict integrals = w->of[pair][k];
+            const int64_t column = w->columns[4 * direction + k];
+            const double factor = w->factors[4 * direction + k], *restrict integrals = w->of[pair][k];
             double *restrict entries = w->matrix + column;
             for (int i = 0; column >= 0 && i < count; i++)
                 if (rows[i] >= 0) entries[rows[i]] += factor * integrals[i];
@@ -511,7 +491,7 @@ static void integrate_waiting(Work *w, int n, const int64_t *sources, int *count
 {
     if (!*count) return;
     set_sources(w, sources, *count, -1);
-    integrate(w, *count, -1, n, w->rules.points + n * MAX_POINTS, w->rules.weights + n * MAX_POINTS);
+    integrate(w, *count, -1, n, 0.0, 1.0);
     add(w, sources, *count);
     *count = 0;
 }
@@ -520,14 +500,14 @@ static void integrate_waiting(Work *w, int n, const int64_t *sources, int *count
    those on it or so close that it is cut in parts; 0: it is too close to one. */
 static int integrate_element(Work *w)
 {
-    const Element *e = &w->e;
     int64_t waiting[MAX_POINTS + 1][TILE];
     int count[MAX_POINTS + 1] = {0}, n = 1;
-    for (int i = 0; i < ROW; i++) w->tile.nr[i] = e->nr, w->tile.nz[i] = e->nz;
+    for (int i = 0; i < ROW; i++) w->tile.nr[i] = w->e.nr, w->tile.nz[i] = w->e.nz;
     for (int64_t s = 0; s < w->count; s++) {
-        const double a = e->r - w->sources[3 * s], b = e->z - w->sources[3 * s + 1];
-        const double a1 = a + e->dr, b1 = b + e->dz;
-        n = points_needed(&w->rules, (sqrt(a * a + b * b) + sqrt(a1 * a1 + b1 * b1)) / e->length, n);
+        const double a = w->e.r - w->sources[3 * s], b = w->e.z - w->sources[3 * s + 1];
+        const double a1 = a + w->e.dr, b1 = b + w->e.dz;
+        const double distances = sqrt(a * a + b * b) + sqrt(a1 * a1 + b1 * b1);
+        n = points_needed(w->reach, distances / w->e.length, n);
         if (n > MAX_POINTS) {
             int at = 2;
             while (at >= 0 && w->local[at] != w->nodes[s]) at--;

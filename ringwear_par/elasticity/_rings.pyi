@@ -2,7 +2,6 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.quadrature import Quadrature
 
-def moments(r: float, a: float, b: float) -> tuple[float, ...]: ...
 def kernels(points: FloatArray, poisson: float, stress: bool = False) -> FloatArray: ...
 def integrate_rows(
     sources: FloatArray,

@@ -1,19 +1,20 @@
-"""Ring kernels against their integrals over theta, with mpmath where digits are at stake."""
+"""Ring kernels against their integrals over theta."""
 
 import time
 
-import mpmath
 import numpy as np
 import pytest
 from scipy.special import ellipe, ellipkm1
 
-from ringwear_par.elasticity._rings import kernels, moments
+from ringwear_par.elasticity._rings import kernels
 
 NU = 0.3
 #: radius of the source, offsets of the field point, mm
 PLACES = [
     (30.0, 5.0, 3.0),
     (30.0, 0.06, -0.08),
+    (30.0, 0.006, -0.008),
+    (30.0, 1e-6, 1e-6),
     (30.0, -29.99, 4.0),  # field point near the axis
     (0.01, 20.0, 20.0),  # source near the axis
     (0.0, 2.0, 1.0),  # on it
@@ -23,26 +24,6 @@ PLACES = [
 #: component of the force or stress at the source, then the direction on the element
 PAIRS = ("rr", "zr", "rz", "zz", "tt")
 STRESS_PAIRS = ("rrr", "ttr", "zzr", "rzr", "rrz", "ttz", "zzz", "rzz", "rtt", "tzt")
-#: of the moments and their relative error
-MOMENTS = [(p, q, 1e-12) for p, end in ((1, 2), (3, 3), (5, 4)) for q in range(end)]
-MOMENTS += [(7, q, 1e-11) for q in range(5)]
-
-
-@pytest.mark.parametrize(("r", "a", "b"), [*PLACES, (30.0, 0.006, -0.008), (30.0, 1e-6, 1e-6)])
-def test_moments_keep_their_digits(r, a, b):
-    got = moments(r, a, b)
-    near2, span2 = mpmath.mpf(a) ** 2 + mpmath.mpf(b) ** 2, 4 * mpmath.mpf(r) * (r + mpmath.mpf(a))
-    reach = mpmath.sqrt(near2 / span2) if span2 else 1
-    cuts = [0, *sorted({min(reach * 10**k, mpmath.pi / 2) for k in range(9)}), mpmath.pi / 2]
-    with mpmath.workdps(30):
-        for value, (p, q, error) in zip(got, MOMENTS, strict=True):
-
-            def integrand(phi, p=p, q=q):
-                s2 = mpmath.sin(phi) ** 2
-                return s2**q / (near2 + span2 * s2) ** (mpmath.mpf(p) / 2)
-
-            exact = 4 * mpmath.quad(integrand, sorted(set(cuts)))
-            assert value == pytest.approx(float(exact), rel=error)
 
 
 def random_points(count, r):
@@ -88,11 +69,15 @@ def test_points_of_another_shape_are_refused():
 
 
 def tensors_over_the_ring(r, a, b, nr, nz, stress, n=200_000):
-    """Integrate Kelvin's U and T, or D and S, over theta by the trapezoidal rule, as printed."""
+    """Integrate Kelvin's U and T, or D and S, over theta, as printed.
+
+    By the trapezoidal rule in u, tan(theta/2) = k tan(u/2): dense where the ring is near.
+    """
     r1, shear = r + a, 0.5 / (1 + NU)
-    theta = 2 * np.pi * (np.arange(n) + 0.5) / n
-    zero, c, s = np.zeros(n), np.cos(theta), np.sin(theta)
-    away = np.array([a - 2 * r1 * np.sin(0.5 * theta) ** 2, r1 * s, b + zero])
+    k = (np.hypot(a, b) / np.hypot(r + r1, b)) ** 0.5
+    t = k * np.tan(np.pi * ((np.arange(n) + 0.5) / n - 0.5))
+    zero, c, s = np.zeros(n), (1 - t**2) / (1 + t**2), 2 * t / (1 + t**2)
+    away = np.array([a - 2 * r1 * t**2 / (1 + t**2), r1 * s, b + zero])
     distance = np.linalg.norm(away, axis=0)
     away /= distance
     normal = np.array([nr * c, nr * s, nz + zero])
@@ -119,10 +104,10 @@ def tensors_over_the_ring(r, a, b, nr, nz, stress, n=200_000):
             first.append(((3 - 4 * NU) * e[i] + away[i] * re) / (2 * shear) * distance)
             bend = (1 - 2 * NU) * (away[i] * ne - re * normal[i])
             second.append((bend - rn * ((1 - 2 * NU) * e[i] + 3 * away[i] * re)) * distance)
-    ring = 2 * np.pi * r1 / (8 * np.pi * (1 - NU))
+    ring = 2 * np.pi * r1 / (8 * np.pi * (1 - NU)) * (k + t**2 / k) / (1 + t**2)
     return (
-        ring * (np.array(first) / distance**2).mean(1),
-        ring * (np.array(second) / distance**3).mean(1) * (2 * shear if stress else 1.0),
+        (ring * np.array(first) / distance**2).mean(1),
+        (ring * np.array(second) / distance**3).mean(1) * (2 * shear if stress else 1.0),
     )
 
 

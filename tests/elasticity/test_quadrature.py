@@ -14,7 +14,7 @@ from ringwear_par.elasticity.sections import Body, Section
 @pytest.mark.parametrize("power", range(5))
 def test_singular_rule_for_polynomials_and_logarithms(power):
     rules = quadrature(1e-8)
-    t, w = rules.singular_points, rules.singular_weights
+    t, w = rules.points[0], rules.weights[0]
     assert w @ t**power == pytest.approx(1 / (power + 1), rel=1e-10)
     assert w @ (t**power * np.log(t)) == pytest.approx(-1 / (power + 1) ** 2, rel=1e-10)
 

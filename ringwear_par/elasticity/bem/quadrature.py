@@ -30,12 +30,10 @@ class Quadrature(NamedTuple):
 
     #: (MAX_POINTS+1,) float, decreasing; n points serve where (d1 + d2)/L >= reach[n]
     reach: FloatArray
-    #: (MAX_POINTS+1, MAX_POINTS) float; row n holds the n-point Gauss rule
+    #: (MAX_POINTS+1, MAX_POINTS) float; row n holds the n-point Gauss rule, row 0 that for
+    #: f + g log t, from the source outwards
     points: FloatArray
     weights: FloatArray
-    #: (MAX_POINTS,) float, rule for f + g log t, from the source outwards
-    singular_points: FloatArray
-    singular_weights: FloatArray
 
 
 @cache
@@ -50,7 +48,6 @@ def quadrature(tolerance: float) -> Quadrature:
         x, w = np.polynomial.legendre.leggauss(n)
         points[n, :n] = 0.5 * (x + 1.0)
         weights[n, :n] = 0.5 * w
-    x, w = np.polynomial.legendre.leggauss(MAX_POINTS)
-    tau = 0.5 * (x + 1.0)
-    power = _SINGULAR_POWER
-    return Quadrature(reach, points, weights, tau**power, 0.5 * w * power * tau ** (power - 1))
+    tau, power = points[MAX_POINTS], _SINGULAR_POWER
+    points[0], weights[0] = tau**power, weights[MAX_POINTS] * power * tau ** (power - 1)
+    return Quadrature(reach, points, weights)

@@ -198,9 +198,7 @@ def _add_rows(
     factors[:, :, 3] = np.where(unknown, -dofs.sign[:, None], traction) / zone.material.young
     sources = np.ascontiguousarray(boundary.nodes[nodes][:, [0, 1, 1]])
     own = integrate_rows(
-        sources, nodes, boundary, zone.material.poisson, rules,
-        columns.take(_DIRECTION, axis=1), factors.take(_DIRECTION, axis=1),
-        rows, entries,
+        sources, nodes, boundary, zone.material.poisson, rules, columns, factors, rows, entries,
     )  # fmt: skip
     # on the axis u_r = u_theta = 0, elsewhere the field that is subtracted goes with u over r
     radius = sources[:, 0]

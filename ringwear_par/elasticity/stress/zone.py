@@ -217,19 +217,20 @@ class ZoneStress:
         nearest = ((points[:, None] - nodes) ** 2).sum(2).argmin(1)
         r, z0 = nodes[nearest].T
         # columns of values along r and z have the rows of four stresses, those along theta of two
-        heights = np.array([4 * p, 4 * p, 2 * p])[_DIRECTION, None]
-        starts = (4 * p * width * np.arange(3))[_DIRECTION, None]
+        heights, starts = np.array([4 * p, 4 * p, 2 * p]), 4 * p * width * np.arange(3)
         values = np.hstack([elements, len(nodes) + np.arange(len(elements))[:, None]])
-        factors = np.tile([-1.0, -1.0, -1.0, 1.0], (len(elements), len(_DIRECTION), 1))
+        columns = starts[:, None] + heights[:, None] * values[:, None]
+        factors = np.tile([-1.0, -1.0, -1.0, 1.0], (len(elements), 3, 1))
         rows = p * np.array([0, 1, 2, 3, 0, 1])[:, None] + np.arange(p)
         entries = np.zeros(10 * p * width)
         own = -integrate_rows(
             np.column_stack([points, z0]), np.full(p, -1), self._boundary, self._poisson,
-            quadrature(_TOLERANCE), starts + heights * values[:, None], factors, rows, entries,
+            quadrature(_TOLERANCE), columns, factors, rows, entries,
         )  # fmt: skip
         own[:2] += 1.0 / (1.0 - self._poisson)  # stresses rr = tt of u_r = r where zz is 0
         own[_DIRECTION != 1] *= np.divide(1.0, r, where=r > 0.0, out=np.zeros_like(r))
-        entries[starts + heights * nearest + rows[_COMPONENT]] += own
+        at = starts[_DIRECTION, None] + heights[_DIRECTION, None] * nearest
+        entries[at + rows[_COMPONENT]] += own
         normal, torsion = np.split(entries, [8 * p * width])
         stresses = [
             (part.reshape(len(of), -1).T @ of).reshape(-1, p, n)
