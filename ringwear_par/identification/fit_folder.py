@@ -17,6 +17,7 @@ from ringwear_par.identification.fitted_tests import FittedSeries, FittedTest, r
 from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
 from ringwear_par.results.files import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
@@ -122,7 +123,7 @@ def figure_of_readings(tests: Sequence[FittedTest], level: float) -> Figure:
     curves = [series for series in every if len(series.x) > 1]
     single = [series for series in every if len(series.x) == 1]
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
-    rows: list[list[fit_panels.Panel]] = []
+    rows: list[list[Panel]] = []
     for first in range(0, len(curves), across):
         beside = curves[first : first + across]
         rows += [[*map(fit_panels.readings, beside)], [*map(fit_panels.residuals, beside)]]

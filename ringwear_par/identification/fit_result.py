@@ -1,6 +1,6 @@
 """The result of a fit: the numbers of fit.json, draws, and the tests as they were fitted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -85,6 +85,7 @@ class FitResult(Outcome):
             folders.ESTIMATES: lambda: fit_folder.figure_of_keys(content, self.draws),
             folders.SPECIMENS: lambda: fit_folder.figure_of_specimens(content),
         }
+        contents: dict[str, Callable[[], bytes | None]]
         contents = {n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()}
         if not self.problem.scatters:
             contents[folders.SPECIMENS] = lambda: None

@@ -112,7 +112,8 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     solved = {name: law for name, law in laws.items() if "error" not in law}
     whole = np.logaddexp.reduce([law["evidence"] for law in solved.values()])
-    best, rows = min(law["aic"] for law in solved.values()), []
+    best = min(law["aic"] for law in solved.values())
+    rows: list[tuple[str, ...]] = []
     for name, law in sorted(laws.items(), key=lambda item: item[1].get("aic", np.inf)):
         if name not in solved:
             rows.append((name, "", "", "", "", f"failed: {law['error']}"))
@@ -162,7 +163,7 @@ def _size(entry: Entry, times: float, unit: str) -> str:
         return f"{times * entry['known']:.2g}{unit} (taken as known)"
     low, high = entry["interval"]
     ends = "" if low is None else f" ({times * low:.2g} to {times * high:.2g}{unit}"
-    ends += _NOTES.get(entry.get("verdict"), ")") if ends else ""
+    ends += _NOTES.get(entry.get("verdict", ""), ")") if ends else ""
     return f"{times * entry['estimate']:.2g}{unit}{ends}"
 
 

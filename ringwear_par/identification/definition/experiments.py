@@ -20,6 +20,7 @@ from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
     FittedParameter,
+    MeasuredInput,
     Series,
 )
 from ringwear_par.identification.definition.schema import EXPERIMENT
@@ -74,7 +75,8 @@ class ExperimentReader:
         measured = input_keys(tables)
         known = changes if self.law is None else self.law
         refuse_twice(place, known, self.parameters, measured, self.faults)
-        case, inputs = None, ()
+        case: Case | None = None
+        inputs: tuple[MeasuredInput, ...] = ()
         if self.base is not None and len(self.faults) < MOST_FAULTS:  # more are not shown
             keys = override(override(self.base, _STEPPING), changes)
             keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
