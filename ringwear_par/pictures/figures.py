@@ -19,7 +19,7 @@ from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.pictures.matplotlib import add_letters, draw, draw_labels
+from ringwear_par.pictures.matplotlib import add_letters, draw
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
 from ringwear_par.pictures.style import (
@@ -200,9 +200,6 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]], width: float | None) -> F
         for axes in alike:  # worn depths grow downwards
             lower, upper = (max, min) if axes.yaxis_inverted() else (min, max)
             axes.set_ylim(lower(end for end, _ in ends), upper(end for _, end in ends))
-    for axes, (_, drawing) in zip(all_axes, drawings, strict=True):
-        if isinstance(drawing, Panel):
-            draw_labels(axes, drawing)
     add_letters(figure)
     return figure
 

@@ -285,4 +285,4 @@ def _worn_through(
     first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(0.0, 0.0))
     if last - first < _WIDE * (ends[1] - ends[0]):
         return []
-    return [Label(0.5 * float(first + last), height, "worn through", centred=True)]
+    return [Label(0.5 * float(first + last), height, "worn through")]
