@@ -159,8 +159,6 @@ def parser() -> argparse.ArgumentParser:
                    "of a journal: 90 mm; a page: 180 mm)")
     a.add_argument("--dpi", type=_whole(50, 2400), metavar="N",
                    help="resolution of bitmaps (default: 200)")
-    a.path("--profiles-of", nargs="+", metavar="RUN.h5",
-           help="draw the profiles of these files only (default: of all)")
     a = command(
         "report", "write one HTML page of a run, sweep, fit, design, prediction or measurement",
         "reports.report:report", "ringwear report run.h5 -o run.html", "serial")

@@ -11,6 +11,6 @@ for p0 in 40 0; do
     mpirun -n 2 ringwear run "$top/scripts/cases/paper.toml" -o "p0_$p0.h5" --set "wear.lower.p0=$p0" --restart
     echo
 done
-ringwear plot p0_40.h5 p0_0.h5 -o figure2.png --panels wear,penetration --profiles-of p0_40.h5 --steps 1,50,100,150,200
+ringwear plot p0_40.h5 p0_0.h5 -o figure2.png --panels wear,penetration --steps 1,50,100,150,200
 ringwear plot p0_40.h5 p0_0.h5 -o pressure.png --panels pressure --steps 1,50,100,150,200
 echo "results and figures: $out/p0_40.h5, p0_0.h5, figure2.png, pressure.png"

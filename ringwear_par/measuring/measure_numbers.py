@@ -12,7 +12,6 @@ from typing import Any
 
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC
 from ringwear_par.measuring.analysis.budget import COVERAGE
-from ringwear_par.measuring.measure_result import MeasureResult
 
 #: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers without one
 _DIGITS, _ALONE = 2, 4
@@ -166,10 +165,15 @@ def lines_of(entry: Mapping[str, Any]) -> Iterator[str]:
     yield from entry["notes"]
 
 
-def table(result: MeasureResult) -> str:
-    """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
+def table(outcome: Mapping[str, Any]) -> str:
+    """Return the contents of measure.csv: a row a test; empty cells for what was not measured.
+
+    Parameters
+    ----------
+    outcome : the contents of measure.json.
+    """
     text = io.StringIO()
-    header, rows = table_of(result.to_dict())
+    header, rows = table_of(outcome)
     digits = [
         ["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in row]
         for row in rows

@@ -18,6 +18,7 @@ from ringwear_par.measuring.analysis.numbers import (
 )
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.definition.problem import Problem
+from ringwear_par.measuring.measure_numbers import lines_of, repeats_text, table
 from ringwear_par.results.result import Outcome
 
 if TYPE_CHECKING:
@@ -72,8 +73,6 @@ class MeasureResult(Outcome):
 
     def summary(self) -> str:
         """Return the outcome as the command prints it."""
-        from ringwear_par.measuring.measure_numbers import lines_of, repeats_text
-
         outcome = self.to_dict()
         tests: Mapping[str, Any] = outcome["tests"]
         lines = [f"specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
@@ -90,12 +89,11 @@ class MeasureResult(Outcome):
 
     def save(self, path: str | Path) -> None:
         """Write the files of its folder, see ``Outcome.save``."""
-        from ringwear_par.measuring.measure_numbers import table
         from ringwear_par.pictures.style import picture
 
         contents: dict[str, Callable[[], bytes | None]] = {
             RECORDS: lambda: picture(self.plot, str(Path(path) / RECORDS)),
-            MEASURED_ROWS: lambda: table(self).encode(),
+            MEASURED_ROWS: lambda: table(self.to_dict()).encode(),
             MEASURE: lambda: json_bytes(self.to_dict()),
         }
         write_outcome(Path(path), "measure", contents)

@@ -19,10 +19,9 @@ from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.pictures.matplotlib import add_letters, draw, draw_labels
+from ringwear_par.pictures.matplotlib import add_letters, draw
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
-from ringwear_par.pictures.run_panels import stages
 from ringwear_par.pictures.style import (
     MM_OF_INCH,
     STYLE,
@@ -57,7 +56,6 @@ def plot(
     results: Source | Sequence[Source],
     panels: str | Sequence[str] = DEFAULT,
     steps: str = "",
-    profiles_of: Sequence[Source] = (),
     times: str = "",
     width: float | None = None,
 ) -> Figure:
@@ -77,7 +75,6 @@ def plot(
     results : a result or a result file, or several.
     panels : names, in a list or separated by commas.
     steps : comma-separated step numbers of the profiles.
-    profiles_of : those of the results whose profiles and sections are drawn; () for all.
     times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
         stored states nearest to them are drawn. Without either: the first step and four quarters;
         the last one of stresses.
@@ -90,41 +87,32 @@ def plot(
     """
     single = isinstance(results, str) or not isinstance(results, Iterable)
     several: Any = [results] if single else results
-    sources = [*several]
-    for number, source in enumerate(sources, 1):
-        if isinstance(source, FailedResult):
-            reason = str(source.error).partition("\n")[0]
-            raise InputError(f"plot: result {number} failed ({reason}); must be results only")
-        if not isinstance(source, Result | str | Path):
-            kind = type(source).__name__
-            raise InputError(f"plot: result {number} is a {kind}; must be a result or its file")
-    names = panels.split(",") if isinstance(panels, str) else list(panels)
+    read = [_read(source, number) for number, source in enumerate(several, 1)]
     if steps and times:
         raise InputError("--times: must be absent beside --steps")
-    sources = [*map(_place, sources)]
-    chosen = [*map(_place, profiles_of)]
-    read = [result_of(source) for source in sources]
-    for source in chosen:
-        if source not in sources:
-            name = source.name if isinstance(source, Result) else source
-            raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
+    names = panels.split(",") if isinstance(panels, str) else list(panels)
     for panel in names:
         if panel not in KINDS:
             raise InputError(
                 f"--panels {legible(','.join(names))}: {legible(panel)!r} must be one of "
                 f"{', '.join(KINDS)}"
             )
-    need_rows = any(KINDS[panel].rows for panel in names)
-    items, profiled = [], []
-    for source, result, label in zip(sources, read, _labels(read), strict=True):
-        rows: list[int] = []
-        if not chosen or source in chosen:
-            if need_rows:
-                rows = _at_times(result, times) if times else _rows(result, steps)
-            profiled.append(Item(result, label, rows, bool(steps or times)))
-        items.append(Item(result, label, rows, bool(steps or times)))
+    items = [
+        Item(result, label, _times(result, times) if times else _of_steps(result, steps))
+        for result, label in zip(read, _labels(read), strict=True)
+    ]
     # without the cases' title, which tells of the file and not of what --set has made of it
-    return _laid_out(_drawings(names, items, profiled), width)
+    return _laid_out(_drawings(names, items), width)
+
+
+def _read(source: Any, number: int) -> Result:
+    if isinstance(source, FailedResult):
+        reason = str(source.error).partition("\n")[0]
+        raise InputError(f"plot: result {number} failed ({reason}); must be results only")
+    if not isinstance(source, Result | str | Path):
+        kind = type(source).__name__
+        raise InputError(f"plot: result {number} is a {kind}; must be a result or its file")
+    return result_of(source)
 
 
 @dataclass(frozen=True)
@@ -157,23 +145,16 @@ class FigureFile:
         save_figure(plot(results), self.path)
 
 
-def _place(source: Source) -> Result | Path:
-    return Path(source) if isinstance(source, str) else source
-
-
-def _drawings(
-    names: Sequence[str], items: Sequence[Item], profiled: Sequence[Item]
-) -> list[tuple[str, Drawing]]:
+def _drawings(names: Sequence[str], items: Sequence[Item]) -> list[tuple[str, Drawing]]:
     """Return the drawings of kinds of panels, with the kind; warn of those that are left out."""
     drawings: list[tuple[str, Drawing]] = []
     left_out: list[tuple[str, str]] = []
     for panel in names:
         kind = KINDS[panel]
-        scope = items if kind.shared else profiled
-        faults = {id(item): kind.faults(item.result) for item in scope}
-        left_out += [(panel, fault) for item_faults in faults.values() for fault in item_faults]
-        good = [item for item in scope if not faults[id(item)]]
-        if good and (kind.apart or len(good) == len(scope)):
+        faults = [kind.faults(item.result) for item in items]
+        left_out += [(panel, fault) for item_faults in faults for fault in item_faults]
+        good = [item for item, fault in zip(items, faults, strict=True) if not fault]
+        if good and (len(good) == len(items) or not kind.shared):
             drawings += [(panel, drawing) for drawing in kind.drawings(good)]
     if not drawings:
         raise InputError(*(fault for _, fault in left_out))
@@ -219,32 +200,26 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]], width: float | None) -> F
         for axes in alike:  # worn depths grow downwards
             lower, upper = (max, min) if axes.yaxis_inverted() else (min, max)
             axes.set_ylim(lower(end for end, _ in ends), upper(end for _, end in ends))
-    for axes, (_, drawing) in zip(all_axes, drawings, strict=True):
-        if isinstance(drawing, Panel):
-            draw_labels(axes, drawing)
     add_letters(figure)
     return figure
 
 
-def _rows(result: Result, steps: str) -> list[int]:
-    stored, last = result.step, int(result.step[-1])
-    if not steps:
-        return stages(result.histories["time"])
-    rows = []
-    for word in steps.split(","):
+def _of_steps(result: Result, steps: str) -> list[float]:
+    """Return the times of stored steps, separated by commas."""
+    stored, chosen = result.step.tolist(), []
+    for word in steps.split(",") if steps else ():
         if not re.fullmatch(r"\s*[0-9]{1,18}\s*", word) or int(word) not in stored:
             raise InputError(
                 f"--steps {legible(steps)}: {legible(word)!r} is not a stored step of "
-                f"{result.name}; must be among 0..{last} as stored (output.every)"
+                f"{result.name}; must be among 0..{stored[-1]} as stored (output.every)"
             )
-        rows.append(int(np.flatnonzero(stored == int(word))[0]))
-    return rows
+        chosen.append(float(result.histories["time"][stored.index(int(word))]))
+    return chosen
 
 
-def _at_times(result: Result, times: str) -> list[int]:
-    """Return the stored states nearest to times, and say which where these are others."""
-    stored = result.histories["time"]
-    rows = set()
+def _times(result: Result, times: str) -> list[float]:
+    """Return times, separated by commas, and say where no state is stored near them."""
+    stored, chosen = result.histories["time"], []
     for word in map(str.strip, times.split(",")):
         try:
             time = seconds(word)
@@ -255,14 +230,14 @@ def _at_times(result: Result, times: str) -> list[int]:
                 f"--times {legible(times)}: {legible(word)!r} is no time of {result.name}; "
                 f'must be from 0 to {stored[-1]:g} (s), or with a unit, such as "1 h"'
             ) from error
-        row = int(np.abs(stored - time).argmin())
-        if abs(stored[row] - time) > _NOTICED * time:
+        nearest = stored[np.abs(stored - time).argmin()]
+        if abs(nearest - time) > _NOTICED * time:
             log.warning(
                 "--times %s: %s has no state stored there; that of %.4g s is shown",
-                word, result.name, stored[row],
+                word, result.name, nearest,
             )  # fmt: skip
-        rows.add(row)
-    return sorted(rows)
+        chosen.append(time)
+    return chosen
 
 
 def _labels(results: Sequence[Result]) -> list[str]:

@@ -104,7 +104,7 @@ def _density(key: FittedKey, level: float) -> Panel:
     labels, verdict = [], key.entry["verdict"]
     if verdict != "identified":
         middle = float(key.scaled(0.5 * (low + high)))
-        labels.append(Label(middle, 1.0, verdict, centred=True))
+        labels.append(Label(middle, 1.0, verdict))
     return Panel(
         key.axis, Axis("relative density", ends=(0.0, 1.1)), curves=curves, bands=[band],
         labels=labels,

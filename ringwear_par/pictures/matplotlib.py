@@ -3,7 +3,6 @@
 import math
 import string
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import matplotlib
@@ -12,7 +11,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.legend import Legend
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from ringwear_par.pictures.panel import Axis, Curve, Label, Panel
+from ringwear_par.pictures.panel import Axis, Curve, Panel
 from ringwear_par.pictures.style import (
     DASHES,
     STYLE,
@@ -37,8 +36,6 @@ _EDGE = 0.6
 _MOST_INTERVALS = 6
 #: most points that vector drawings draw one by one; more are a picture, else files would be large
 _MANY = 200
-#: share of a panel's height that a label takes
-_LABEL = 0.06
 #: length of an axis from 0 over that of what is drawn
 _ROOM = 1.05
 #: most words of categories side by side, and their letters above which they are slanted
@@ -88,6 +85,8 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             label=plain(bars.name),
             error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
         )  # fmt: skip
+    for label in panel.labels:
+        axes.text(label.x, label.y, label.words, color="0.3", fontsize=7.0, ha="center")
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
     if columns:
@@ -121,7 +120,6 @@ def panel_svg(panel: Panel, size: tuple[float, float]) -> bytes:
         chart = NotebookFigure(figsize=size, layout="constrained")
         axes = chart.add_subplot()
         draw(axes, panel)
-        draw_labels(axes, panel)
         return svg(chart)
 
 
@@ -171,7 +169,6 @@ def panel_grid(
         for j, panel in enumerate(row):
             axes = chart.add_subplot(grid[i, j])
             draw(axes, panel, 0)
-            draw_labels(axes, panel)
             axes.set_title(plain(panel.title), loc="left")
             entries |= legend_entries(axes)
     if legend:
@@ -287,24 +284,3 @@ def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None
         letters = max(map(len, entries), default=0) + _GLYPH
         columns = max(1, min(columns, _LETTERS // letters))
         set_legend(axes, columns, title, entries)
-
-
-def draw_labels(axes: Any, panel: Panel) -> None:
-    """Write the labels of a panel once its scale is final; those too close stand together."""
-    close = _LABEL * float(np.ptp(axes.get_ylim()))
-    for below in (True, False):
-        labels: list[Label] = []
-        for label in [label for label in panel.labels if label.below == below]:
-            if labels and abs(label.y - labels[-1].y) <= close:
-                words = (
-                    f"{labels[-1].words.replace('layer ', 'layers ')}, {label.words.split()[-1]}"
-                )
-                labels[-1] = replace(labels[-1], words=words)
-            else:
-                labels.append(label)
-        for label in labels:
-            axes.text(
-                label.x, label.y, label.words if label.centred else f" {label.words}", color="0.3",
-                fontsize=7.0, va="top" if below else "bottom",
-                ha="center" if label.centred else "left",
-            )  # fmt: skip

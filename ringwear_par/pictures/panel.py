@@ -50,14 +50,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Label:
-    """Words at a place, to its right or centred."""
+    """Words above a place."""
 
     x: float
     y: float
     words: str
-    #: whether they stand below it, or else above
-    below: bool = False
-    centred: bool = False
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
+from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results import key_numbers
 from ringwear_par.results.key_numbers import number_words, time_unit, time_words
@@ -188,7 +188,7 @@ def worn_faces(
     both = len(bodies) > 1
     label = f"worn depth{'' if both else f' of {bodies[0]}'} (\N{MICRO SIGN}m)"
     r, (inner, outer) = result.line.r, result.line.edges[[0, -1]].tolist()
-    curves, labels = [], []
+    curves = []
     for number, body in enumerate(bodies):
         drawn = at_states(result, worn_depth(result, body), rows)
         curves += [replace(curve, dash=number) for curve in drawn] if both else drawn
@@ -196,10 +196,8 @@ def worn_faces(
         for layer, end in enumerate(result.data.get(f"layer_end_{body}", ())):
             if end.min() > _FAR * deepest:
                 continue
-            depth = 1e3 * end
-            curves.append(Curve(r, depth, "end of layer", "#666666", 3, 1.0))
-            place = float(result.line.edges[-1]), float(depth[-1])
-            labels.append(Label(*place, f"layer {layer}", below=body == "lower"))
+            name = f"end of layer {layer}" + f" of {body}" * both
+            curves.append(Curve(r, 1e3 * end, name, "#666666", 3 - layer % 3, 1.0))
     beside = _BESIDE * (outer - inner)
     low, high = max(inner - beside, 0.0), outer + beside
     for ends in ([low, inner], [outer, high]):
@@ -207,7 +205,7 @@ def worn_faces(
         curves.append(unworn)
     return Panel(
         Axis(RADIUS, ends=(low, high)), Axis(label, reversed=True), label,
-        "lower solid, upper dashed" if both else "", curves=curves, labels=labels,
+        "lower solid, upper dashed" if both else "", curves=curves,
     )  # fmt: skip
 
 

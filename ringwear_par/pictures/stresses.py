@@ -15,7 +15,7 @@ from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, mises
 from ringwear_par.pictures.panel import FEW_POINTS, Axis, Band, Curve, Label, Panel
 from ringwear_par.pictures.run_panels import RADIUS, stage_styles
 from ringwear_par.pictures.sections import magnification
-from ringwear_par.pictures.style import CASING, COLOURS
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.fields import Interface, interfaces_of, stresses
 from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Result
@@ -23,8 +23,6 @@ from ringwear_par.results.result import Result
 #: colours of a map, numbers beside its scale, and the share of its values that the scale covers:
 #: those at edges would take it all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99
-#: share of the map's height that the deepest wear is drawn with, at least
-_WEAR_DRAWN = 0.06
 #: share of a map's longer side below which the shorter one has a scale of its own, and its share
 #: then
 _LEAST, _STRETCHED = 0.25, 0.5
@@ -54,7 +52,7 @@ def highest(maps: Sequence[FloatArray]) -> float:
 
 
 def draw_map(axes: Any, result: Result, label: str, row: int, top: float) -> None:
-    """Draw von Mises' stress on the grid, the bodies and, magnified, their worn faces.
+    """Draw von Mises' stress on the grid, and the unworn bodies.
 
     Parameters
     ----------
@@ -87,7 +85,6 @@ def draw_map(axes: Any, result: Result, label: str, row: int, top: float) -> Non
         axes.add_patch(Polygon(outline.contour, fill=False, edgecolor="0.25", linewidth=0.9))
         axes.hlines(outline.interfaces, inner, outer, color="0.25", linewidth=0.5)
     stretch = _stretch(float(r[-1] - r[0]), float(z[-1] - z[0]))
-    _draw_wear(axes, result, time, sections, _WEAR_DRAWN * (z[-1] - z[0]), max(stretch, 1.0))
     axes.set_xlim(r[0], r[-1])
     axes.set_ylim(z[0], z[-1])
     axes.set_aspect(stretch)
@@ -138,43 +135,6 @@ def _spread(values: FloatArray, finite: BoolArray) -> FloatArray:
 
     nearest = distance_transform_edt(~finite, return_distances=False, return_indices=True)
     return values[tuple(nearest)]
-
-
-def _draw_wear(
-    axes: Any, result: Result, time: float, sections: Sequence[Outline], height: float,
-    stretch: float,
-) -> None:  # fmt: skip
-    """Draw the worn faces at a time (s), the deepest wear by a height; return how much more it is.
-
-    Never less than it is: what the scale of heights shows is drawn as it lies. A legend names the
-    faces that are among the heights of the map, and how much larger their wear is than radii.
-    """
-    heights = stresses(result)["grid_z"]
-    row = int(np.abs(result.histories["time"] - time).argmin())
-    depths = []
-    for body in BODIES:
-        profile = result.profiles.get(f"wear_{body}")
-        if profile is None or (profile.ndim == 1 and row != len(result.step) - 1):
-            return
-        depths.append(profile if profile.ndim == 1 else profile[row])
-    deepest = max(float(depth.max()) for depth in depths)
-    if not deepest > 0.0:
-        return
-    factor = max(1.0, float(f"{height / deepest:.1g}"))
-    line = result.line
-    for outline, depth, down, name in zip(sections, depths, (1.0, -1.0), BODIES, strict=True):
-        if not depth.any():
-            continue
-        face = np.interp(line.r, *outline.contour[:-2].T)
-        drawn = face - down * factor * depth
-        seen = ((drawn >= heights[0]) & (drawn <= heights[-1])).any()
-        words = f"worn face of {name}, {factor * stretch:.6g}\N{MULTIPLICATION SIGN}"
-        axes.plot(
-            line.r, drawn, color="k", linewidth=1.2, path_effects=CASING,
-            linestyle="-" if name == "lower" else "--", label=words if seen else "",
-        )  # fmt: skip
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0)
 
 
 def along_height(result: Result, label: str, rows: Sequence[int]) -> Panel:
@@ -325,4 +285,4 @@ def _worn_through(
     first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(0.0, 0.0))
     if last - first < _WIDE * (ends[1] - ends[0]):
         return []
-    return [Label(0.5 * float(first + last), height, "worn through", centred=True)]
+    return [Label(0.5 * float(first + last), height, "worn through")]

@@ -12,7 +12,6 @@ from typing import Any
 import matplotlib
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
 from ringwear_par.cases.faces import SHAPE_UNITS
 from ringwear_par.cases.units import in_signs
@@ -38,8 +37,6 @@ _FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype":
 #: after Okabe and Ito: the colour-blind see them as different; their contrast on white is 3 at
 #: least; in print without colour dashes tell lines apart
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#c2699a", "#222222")
-#: of dark lines on colours
-CASING = [withStroke(linewidth=3.0, foreground="w")]
 #: line styles that stay apart in print without colour
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 #: the dark part of a map whose lightness grows evenly; its contrast on white is 3 at least

@@ -1,8 +1,11 @@
 """Results of cases and their attributes, and what all outcomes show; histories as columns."""
 
+import base64
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +14,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
+from ringwear_par.cases.units import with_signs
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import BoundaryState
@@ -55,15 +59,21 @@ class Outcome:
 
     def report(self, path: str | Path) -> str:
         """Write its page, one HTML file; return what was written, see ``rw.report``."""
-        from ringwear_par.reports.report import report
+        from ringwear_par import report
 
         return report(self, path)
 
     def _repr_html_(self) -> str:
-        """Return its summary and figure, for notebooks."""
-        from ringwear_par.reports.notebook import outcome_html
-
-        return outcome_html(self)
+        """Return its summary and figure, for notebooks, as far as it holds enough for them."""
+        text, drawn = repr(self), ""
+        with suppress(RingwearError):
+            text = self.summary()
+        with suppress(RingwearError):
+            picture, size = self.plot()._repr_png_()  # type: ignore[attr-defined]
+            address = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
+            drawn = f'<img src="{address}" width="{size["width"]}" alt="its figure">'
+        words = f'<pre style="white-space: pre-wrap">{escape(with_signs(text))}</pre>'
+        return f"<div>{words}{drawn}</div>"
 
 
 class Checkpoint(NamedTuple):
@@ -208,7 +218,7 @@ class Result(Outcome):
 
     def plot(self) -> "Figure":
         """Return the figure of its histories and profiles."""
-        from ringwear_par.pictures.figures import plot
+        from ringwear_par import plot
 
         return plot(self)
 

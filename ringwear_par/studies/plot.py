@@ -32,7 +32,6 @@ def plot(
     results: Case | figures.Source | Sequence[figures.Source],
     panels: str | Sequence[str] | None = None,
     steps: str = "",
-    profiles_of: Sequence[figures.Source] = (),
     times: str = "",
     width: float | None = None,
 ) -> Figure:
@@ -49,7 +48,6 @@ def plot(
         whose rig is drawn as a section through the axis.
     panels : names, in a list or separated by commas; None for wear and penetration.
     steps : comma-separated step numbers of the profiles.
-    profiles_of : those of the results whose profiles and sections are drawn; () for all.
     times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
         stored states nearest to them are drawn. Without either: the first step and four quarters.
 
@@ -78,14 +76,14 @@ def plot(
         if not path.is_dir() and path.suffix != ".toml":
             continue
         refuse_drawn(path)
-        if len(sources) > 1 or panels is not None or steps or times or profiles_of:
+        if len(sources) > 1 or panels is not None or steps or times:
             raise InputError(
                 f"{path}: a folder or a case must be drawn alone, without other options"
             )
         if path.is_dir():
             return style.of_width(draw_sweep(read_ensemble(path)), width)
         return style.of_width(draw_rig(read_case(path)), width)
-    return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)
+    return figures.plot(several, panels or figures.DEFAULT, steps, times, width)
 
 
 def plot_stored(

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from importlib import import_module
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,8 @@ from ringwear_par.studies.variations import (
 )
 from ringwear_par.version import __version__
 
+#: values of a varied key that notebooks list
+_LISTED = 8
 #: values of a key that are checked one by one; of more the least and the largest
 _MOST_VALUES = 20
 #: bad cases at the beginning of a design, after which no good one is looked for
@@ -76,8 +78,13 @@ class Study:
 
     def _repr_html_(self) -> str:
         """Return its varied keys and the rig of its first case, for notebooks."""
-        # pages stand on studies, which know nothing else of them
-        return str(import_module("ringwear_par.reports.notebook").study_html(self))
+        units, table = self.units(), "<table><tr><th>key<th>values<th>unit"
+        for name, column in self.columns.items():
+            values = dict.fromkeys(f"{v:.4g}" if is_number(v) else str(v) for v in column.tolist())
+            words = ", ".join(values) if len(values) <= _LISTED else f"{len(values)} values"
+            table += f"<tr><td>{escape(name)}<td>{escape(words)}<td>{units[name]}"
+        table += "</table>"
+        return f"<div><pre>{escape(repr(self))}</pre>{table}{self.case(0)._repr_html_()}</div>"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -40,8 +40,8 @@ def test_fonts_in_files_are_fonts(runs, tmp_path):
 
 
 def test_what_is_drawn_is_what_is_stored(runs):
-    figure = plot(runs[:2], "wear,penetration,pressure", "1,20", runs[1:2])
-    wear, penetration, pressure = figure.axes
+    figure = plot(runs[:2], "wear,penetration,pressure", "1,20")
+    _, wear, penetration, _, pressure = figure.axes
     result = open_result(runs[1])
     assert wear.lines[1].get_ydata() == pytest.approx(1e3 * result.profiles["wear_lower"][20])
     assert pressure.lines[0].get_ydata() == pytest.approx(result.profiles["pressure"][1])
