@@ -80,7 +80,7 @@ def laboratory_numbers(
     """
     numbers: dict[str, FloatArray] = {}
     for i, body in enumerate(BODIES):
-        if cases[0].laws[i] is None:
+        if not cases[0].laws[i]:
             continue
         volume = _volumes(data, body)
         density = np.array([case.rings[i].densities for case in cases], dtype=float)

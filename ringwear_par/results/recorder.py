@@ -39,29 +39,39 @@ from ringwear_par.results.variables import (
 )
 from ringwear_par.results.warnings import warnings_of_histories
 
-Value = Callable[[Block, State], Any]
+Value = Callable[[Instant], Any]
 
 # -- what is stored of a state ---------------------------------------------------------------------
 
 
-def _twist(block: Block, state: State) -> FloatArray:
+def _twist(of: Instant) -> FloatArray:
     """Return the area mean of the circumferential displacement jump, (B,) mm."""
-    line, pair, soft = block.line, block.compliance.pair, block.compliance.softness
-    per_shear = np.array([of.twist for of in line.pairs])[pair] / line.area.sum()
-    jump = np.einsum("bi,bin,bn->b", soft, per_shear, state.pressure)
-    return block.friction.at(state.time) * jump
+    line, compliance = of.block.line, of.block.compliance
+    per_shear = np.array([pair.twist for pair in line.pairs])[compliance.pair] / line.area.sum()
+    jump = np.einsum("bi,bin,bn->b", compliance.softness, per_shear, of.state.pressure)
+    return of.block.friction.at(of.state.time) * jump
 
 
-def _gap(block: Block, state: State) -> FloatArray:
+def _gap(of: Instant) -> FloatArray:
     """Return the gaps of the bodies under pressure, (B, n) mm; in contact 0 but for round-off."""
-    p = state.pressure
-    gap = block.compliance.gap(block.worn_gap(state.wear), p, state.approach)
-    return np.where(p > 0.0, 0.0, np.maximum(gap, 0.0))
+    return np.where(of.state.pressure > 0.0, 0.0, np.maximum(of.gap, 0.0))
 
 
-def _layers(block: Block, state: State, body: int) -> tuple[FloatArray, FloatArray]:
+def _pressure_velocity(of: Instant) -> FloatArray:
+    """Return the mean pressure on the nominal area times speed, (B,) MPa m/s."""
+    case, omega = of.block.cases.every[0], of.block.omega.at(of.state.time)
+    return 1e-3 * (of.state.pressure @ of.block.line.area) / case.area * omega * case.mean_radius
+
+
+def _distance(of: Instant) -> FloatArray:
+    """Return the sliding distance at the mean radius, (B,) m."""
+    return 1e-3 * of.block.omega.integral(of.state.time) * of.block.cases.every[0].mean_radius
+
+
+def _layers(of: Instant, body: int) -> tuple[FloatArray, FloatArray]:
     """Return the ends of the layers of a body, and its wear, (layers + 1, B, n) and (B, n) mm."""
-    for wearing, wear in zip(block.wearing, state.wear, strict=True):
+    block = of.block
+    for wearing, wear in zip(block.wearing, of.state.wear, strict=True):
         if wearing.body == body:
             return wearing.ends, wear
     case = block.cases.every[0]
@@ -73,53 +83,41 @@ def _of_body(body: int) -> dict[str, Value]:
     """Return the variables of one of the bodies by name."""
     name = BODIES[body]
 
-    def wear(block: Block, state: State) -> FloatArray:
-        return block.both(state.wear)[body]
+    def wear(of: Instant) -> FloatArray:
+        return of.block.both(of.state.wear)[body]
 
-    def left(block: Block, state: State) -> FloatArray:
-        return layer_left(*_layers(block, state, body))
+    def left(of: Instant) -> FloatArray:
+        return layer_left(*_layers(of, body))
 
-    def share_through(block: Block, state: State) -> FloatArray:
-        through = left(block, state) <= 0.0
-        return through @ block.line.area / (np.ones_like(through) @ block.line.area)  # 1 at most
-
-    def volumes(block: Block, state: State) -> FloatArray:
-        return layer_volumes(block.line.area, *_layers(block, state, body))
+    def share_through(of: Instant) -> FloatArray:
+        through, area = left(of) <= 0.0, of.block.line.area
+        return through @ area / (np.ones_like(through) @ area)  # 1 at most
 
     return {
         f"wear_{name}": wear,
-        f"worn_volume_{name}": lambda block, state: wear(block, state) @ block.line.area,
+        f"worn_volume_{name}": lambda of: wear(of) @ of.block.line.area,
         f"layer_left_{name}": left,
         f"share_through_{name}": share_through,
-        f"worn_volume_{name}_layers": volumes,
+        f"worn_volume_{name}_layers": lambda of: layer_volumes(
+            of.block.line.area, *_layers(of, body)
+        ),
     }
-
-
-def _pressure_velocity(block: Block, state: State) -> FloatArray:
-    """Return the mean pressure on the nominal area times speed, (B,) MPa m/s."""
-    case, omega = block.cases.every[0], block.omega.at(state.time)
-    return 1e-3 * (state.pressure @ block.line.area) / case.area * omega * case.mean_radius
-
-
-def _distance(block: Block, state: State) -> FloatArray:
-    """Return the sliding distance at the mean radius, (B,) m."""
-    return 1e-3 * block.omega.integral(state.time) * block.cases.every[0].mean_radius
 
 
 #: the variables of states by name, (B,) or (B, n); of iterations all so far
 VALUES: Mapping[str, Value] = {
-    "number": lambda block, state: block.number,
-    "step": lambda block, state: state.steps,
-    "contact_iterations": lambda block, state: state.iterations,
-    "time": lambda block, state: state.time,
-    "approach": lambda block, state: state.approach,
-    "penetration": lambda block, state: state.approach - state.first_approach,
-    "force": lambda block, state: state.pressure @ block.line.area,
-    "torque": lambda block, state: block.friction.at(state.time) * block.moment(state.pressure),
+    "number": lambda of: of.block.number,
+    "step": lambda of: of.state.steps,
+    "contact_iterations": lambda of: of.state.iterations,
+    "time": lambda of: of.state.time,
+    "approach": lambda of: of.state.approach,
+    "penetration": lambda of: of.state.approach - of.state.first_approach,
+    "force": lambda of: of.state.pressure @ of.block.line.area,
+    "torque": lambda of: of.block.friction.at(of.state.time) * of.block.moment(of.state.pressure),
     "twist": _twist,
-    "dissipated_energy": lambda block, state: state.energy,
-    "normal_work": lambda block, state: state.normal_work,
-    "pressure": lambda block, state: state.pressure,
+    "dissipated_energy": lambda of: of.state.energy,
+    "normal_work": lambda of: of.state.normal_work,
+    "pressure": lambda of: of.state.pressure,
     "gap": _gap,
     "sliding_distance": _distance,
     "pressure_velocity": _pressure_velocity,
@@ -130,7 +128,7 @@ VALUES: Mapping[str, Value] = {
 
 def _values(instant: Instant, names: Iterable[str]) -> dict[str, Any]:
     """Return what is stored of states under these names."""
-    return {name: VALUES[name](instant.block, instant.state) for name in names}
+    return {name: VALUES[name](instant) for name in names}
 
 
 def _moment(instant: Instant, place: int) -> Moment:
