@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ from ringwear_par.results.variables import (
 )
 from ringwear_par.results.warnings import warnings_of_histories
 
-Value = Callable[[Instant], Any]
+Value, Arrays = Callable[[Instant], Any], dict[str, Any]
 
 # -- what is stored of a state ---------------------------------------------------------------------
 
@@ -126,11 +126,6 @@ VALUES: Mapping[str, Value] = {
 }
 
 
-def _values(instant: Instant, names: Iterable[str]) -> dict[str, Any]:
-    """Return what is stored of states under these names."""
-    return {name: VALUES[name](instant) for name in names}
-
-
 def _moment(instant: Instant, place: int) -> Moment:
     """Return one of the states of an instant."""
     block, state = instant.block, instant.state
@@ -185,12 +180,8 @@ class Recorder:
         of_layers = layer_names((bool(case.lower.layers), bool(case.upper.layers)))
         names = ("number", "step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields)
         #: variables that are stored of the last state of each history alone
-        self._at_end = {
-            name
-            for name in names
-            if (name in SLIDING and not results)
-            or (name in FIELDS and case.output.profiles == "last")
-        }
+        self._at_end = set() if results else set(SLIDING)
+        self._at_end |= set(FIELDS).intersection(names) if case.output.profiles == "last" else set()
         #: the rows so far by variable, as they came; and the last values, (B, ...)
         self._rows: dict[str, list[Any]] = {name: [] for name in names if name not in self._at_end}
         self._last: dict[str, FloatArray] = {}
@@ -262,9 +253,10 @@ class Recorder:
                 self._boundaries(state, before)
                 for name, entries in self._stresses(history, state, before).items():
                     self._worst.take(name, np.array([history]), *np.array([entries]).T)
-        for name, values in _values(instant, self._rows).items():
-            self._rows[name].append(values)
-        for name, values in _values(instant, self._at_end).items():
+        for name, rows in self._rows.items():
+            rows.append(VALUES[name](instant))
+        for name in self._at_end:
+            values = VALUES[name](instant)
             if name not in self._last:
                 self._last[name] = np.full((len(self._cases), *values.shape[1:]), np.nan)
             self._last[name][number] = values
@@ -277,21 +269,17 @@ class Recorder:
         """Whether a single history has come to its end."""
         return 0 in self._ended
 
-    def _columns(
-        self, unstored: Instant | None = None
-    ) -> tuple[IntArray, dict[str, Any], dict[str, Any]]:
-        """Return all rows by history, see ``HistoryColumns``, and last values alone.
+    def _columns(self, unstored: Instant | None = None) -> tuple[IntArray, Arrays, Arrays]:
+        """Return offsets and rows by history, see ``HistoryColumns``, and last values alone.
 
-        Parameters
-        ----------
-        unstored : the state that a single history has come to, if that is not stored.
+        A state that a single history has come to, but that is not stored, is a row, too.
         """
         rows, last = self._rows, self._last
         if not rows["number"]:
             return np.zeros(len(self._cases) + 1, np.int64), {}, {}
         if unstored is not None:
-            rows = {name: [*rows[name], values] for name, values in _values(unstored, rows).items()}
-            last = _values(unstored, self._at_end)
+            rows = {name: [*parts, VALUES[name](unstored)] for name, parts in rows.items()}
+            last = {name: VALUES[name](unstored) for name in self._at_end}
         order = np.argsort(np.concatenate(rows["number"]), kind="stable")
         data = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
         offsets = np.searchsorted(data["number"], np.arange(len(self._cases) + 1))
@@ -302,18 +290,14 @@ class Recorder:
         return offsets, data, last
 
     def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
-        """Return all histories as they are stored.
-
-        Parameters
-        ----------
-        failures : of histories that could not go on; they have the rows before.
-        """
+        """Return all histories as they are stored; those that failed have the rows before."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         offsets, data, whole = self._columns()
         if data:
             stresses = [self._stresses.arrays(number) for number in range(count)]
             whole = whole | self._of_ends(offsets, data) | _points(stresses, count)
             data |= stress_columns(stresses, data["time"], offsets)
+        every = warnings_of_histories(self._cases, self._worst.measures)
         return HistoryColumns(
             offsets,
             {name: values for name, values in data.items() if name not in ("number", "step")},
@@ -322,7 +306,7 @@ class Recorder:
             flags=tuple(
                 () if i in failures
                 else (*(w.code for w in warnings), *(f"stopped_by_{n}" for n in self._limits(i)))
-                for i, warnings in enumerate(self._warnings())
+                for i, warnings in enumerate(every)
             ),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if i in failures else "done" for i in range(count)),
@@ -341,9 +325,6 @@ class Recorder:
             **times_through(self._cases[0], through),
             **{name: np.where(stored, values, np.nan) for name, values in numbers.items()},
         }
-
-    def _warnings(self) -> list[list[ValidityWarning]]:
-        return warnings_of_histories(self._cases, self._worst.measures)
 
     def _end(self, number: int) -> tuple[Block, State]:
         """Return the last state of a history, as of a block of one."""
@@ -365,13 +346,9 @@ class Recorder:
     # -- results -----------------------------------------------------------------------------------
 
     def result(self, error: str = "") -> Result:
-        """Return the result of a single history so far. Collective on comm.
+        """Return the result of a single history so far, or up to an error. Collective on comm.
 
         The state that it has come to is its last row, also where its case does not store it.
-
-        Parameters
-        ----------
-        error : why the history cannot go on, "" where it can.
         """
         assert self.last is not None
         is_stored = self.last.state.time[0] <= self._last_time[0]
@@ -387,7 +364,7 @@ class Recorder:
         offsets, data, last = self._columns(unstored)
         data |= laboratory_numbers(self._cases, data.pop("number"), data)
         results: list[Result | Exception] = []
-        for i, warnings in enumerate(self._warnings()):
+        for i, warnings in enumerate(warnings_of_histories(self._cases, self._worst.measures)):
             if i in failures:
                 results.append(failures[i])
                 continue
@@ -428,10 +405,7 @@ class Recorder:
         }
 
     def _seconds(self, block: Block) -> dict[str, float]:
-        """Return the wall times so far by attribute, s, those of an interrupted run included.
-
-        Of several histories, those of one in the mean.
-        """
+        """Return the wall times so far by attribute, s: of several histories, those of one."""
         assert self.last is not None
         pair, following = block.line.pairs[0], self.last.following
         elastic = np.zeros(2) if self._pair_is_shared else pair.seconds

@@ -99,9 +99,8 @@ def run_case(
 
     Parameters
     ----------
-    path : case file.
+    path, overrides : case file, and ``KEY=VALUE`` texts.
     output : result file; one of a complete or failed run is replaced.
-    overrides : ``KEY=VALUE`` texts.
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
     figure : picture to be drawn at the end, see ``pictures.figures.FigureFile``.
@@ -180,19 +179,17 @@ def _difference(before: Result, case: Case) -> str:
     Keys are compared as they are written, since to read a stored case is to run the laws in it.
     """
     reached, version = float(before.last_state.time[0]), before.attributes["version"]
-    if version != __version__:
-        return f"was computed by version {version}, this is {__version__}; --restart needs the same"
-    if before.user_laws != law_sources(case):
-        return (
-            "was computed with another wear law in a Python file than there is now; --restart "
-            "needs the same"
-        )
-    if _keys(before.case) != _keys(case.stored_text):
-        growing = "time.end" if case.time.adaptive else "time.steps"
-        return (
-            f"holds another case; --restart needs the same case, only {growing} and limits in "
-            "[stop] may change"
-        )
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    for other, differs in (
+        (f"version {version}, this is {__version__}", version != __version__),
+        ("another wear law in a Python file", before.user_laws != law_sources(case)),
+        ("another case", _keys(before.case) != _keys(case.stored_text)),
+    ):
+        if differs:
+            return (
+                f"is of {other}; --restart needs the same, only {growing} and limits in [stop] "
+                "may change"
+            )
     if reached > case.time.end * (1.0 + SAME_TIME):
         return (
             f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
