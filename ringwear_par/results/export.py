@@ -169,6 +169,9 @@ def _write_vtkhdf(output: Path, times: Sequence[float], content: Cells) -> None:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 0])
         root.attrs.create("Type", b"UnstructuredGrid", dtype="S16")
+        for group in ("PointData", "CellData"):  # there without fields, too
+            root.create_group(group)
+            root.create_group(f"Steps/{group}Offsets")
         for name, values in arrays.items():
             root[name] = np.asarray(values)
         root["Steps"].attrs["NSteps"] = np.int64(count)

@@ -4,7 +4,7 @@ import logging
 import shlex
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -119,16 +119,17 @@ def run_case(
         return case, _interrupted(path, output, case, restart, overwrite)
 
     case, before = on_first_rank(comm, checked)
-    if before is None or not _is_at_end(case, before):
+    if before is not None and _is_at_end(case, before):
+        limit = before.attributes.get("stopped_by")
+        early = f" since it reached {limit}, which may grow" if limit else ""
+        if comm.rank == 0:
+            log.info("%s is complete%s: nothing to compute", output, early)
+    else:
         if comm.rank == 0:
             warn_of_threads(comm.size)
             if before is None and not overwrite:
                 announce_replacement(output)
         Run(case, path, output, before, comm).compute()
-    elif comm.rank == 0:
-        limit = before.attributes.get("stopped_by")
-        early = f" since it reached {limit}, which may grow" if limit else ""
-        log.info("%s is complete%s: nothing to compute", output, early)
     if figure is not None:
         on_first_rank(comm, lambda: figure.draw(output))
 
@@ -200,9 +201,9 @@ def _difference(before: Result, case: Case) -> str:
 
 def _is_at_end(case: Case, before: Result) -> bool:
     """Tell whether a stored history has come to the end of a case, or to the same limits."""
-    stopped = "stopped_by" in before.attributes
     same = _keys(before.case, limits=True) == _keys(case.stored_text, limits=True)
-    return before.last_state.time[0] >= case.time.end or (stopped and same)
+    reached = before.last_state.time[0] >= case.time.end
+    return bool(reached) or ("stopped_by" in before.attributes and same)
 
 
 def _keys(text: str, *, limits: bool = False) -> dict[str, Any]:
@@ -233,10 +234,8 @@ class Run:
     ) -> None:
         self._case, self._path, self._output, self._comm = case, path, output, comm
         self._recorder, self._signals = Recorder([case], comm, before), StopSignals()
-        start = self._recorder.first
-        self._progress: Progress | None = None
-        if comm.rank == 0:
-            self._progress = Progress(case.time.end, 0.0 if start is None else float(start.time[0]))
+        begun = 0.0 if before is None else float(before.last_state.time[0])
+        self._progress = Progress(case.time.end, begun, silent=comm.rank > 0)
         #: the signal that the ranks agreed to stop for, or 0
         self._agreed = 0
         #: when the last checkpoint was tried, and whether it was written
@@ -250,7 +249,7 @@ class Run:
         with ExitStack() as cleanup:
             cleanup.push(self._signals)  # which take over with the first state
             try:
-                with closing(self._progress) if self._progress is not None else nullcontext():
+                with closing(self._progress):
                     simulate_one(self._case, self._comm, self, first=start, every=True)
             except RingwearError as error:
                 self._fail(error)
@@ -277,11 +276,10 @@ class Run:
             self._signals.__enter__()
         self._recorder(instant)
         state = instant.state
-        if self._progress is not None:
-            self._progress.show(
-                float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
-                state.steps[0], state.time[0], self._case.time.end, state.approach[0],
-            )  # fmt: skip
+        self._progress.show(
+            float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
+            state.steps[0], state.time[0], self._case.time.end, state.approach[0],
+        )  # fmt: skip
         if not state.steps[0]:
             return False
         due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS

@@ -47,14 +47,6 @@ def result(request):
     return request.getfixturevalue(request.param)
 
 
-def test_saved_and_opened_they_are_the_same(result, tmp_path):
-    result.save(tmp_path / "run.h5")
-    stored = rw.open_result(tmp_path / "run.h5")
-    assert stored.to_xarray().equals(result.to_xarray())
-    for name, values in result.stress.items():
-        np.testing.assert_equal(stored.stress[name], values)
-
-
 def test_variables(plain):
     data = plain.to_xarray()
     assert data.stress.point_side.values.tolist() == ["", "above", ""]
@@ -266,20 +258,11 @@ def test_exports(plain, layered, tmp_path):
     assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
     assert np.ptp(corners[..., 2], axis=1) == pytest.approx(1.0 / 3.0)
     openpyxl = pytest.importorskip("openpyxl")
-
-    def sheet(result, name):
-        export(result, tmp_path / "a.xlsx")
-        page = openpyxl.load_workbook(tmp_path / "a.xlsx")[name]
-        header, *rows = page.iter_rows(values_only=True)
-        return rows, dict(zip(header, rows[-1], strict=True))
-
-    rows, last = sheet(plain, "stress at points")
-    assert len(rows) == 7 * 3
-    assert [last[f"stress[{name}] (MPa)"] for name in COMPONENTS] == pytest.approx(
-        plain.stress["stress"][-1, -1]
-    )
+    export(layered, tmp_path / "a.xlsx")
+    book = openpyxl.load_workbook(tmp_path / "a.xlsx")
     for name in ("lower", "upper"):
-        rows, last = sheet(layered, f"interfaces of {name}")
+        header, *rows = book[f"interfaces of {name}"].iter_rows(values_only=True)
+        last = dict(zip(header, rows[-1], strict=True))
         stress = layered.stress[f"interface_stress_{name}"][-1]
         assert len(rows) == 3 * stress[..., 0].size
         assert last["side"] == "below"
