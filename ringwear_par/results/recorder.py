@@ -35,6 +35,7 @@ from ringwear_par.results.variables import (
     HISTORIES,
     POINT_SIDES,
     SLIDING,
+    VARIABLES,
     layer_names,
 )
 from ringwear_par.results.warnings import warnings_of_histories
@@ -177,14 +178,20 @@ class Recorder:
         self._worst = Worst(count)
         self._boundaries = Boundaries(case, comm)
         self._stresses = Stresses(cases, comm, points_only=not results)
-        of_layers = layer_names((bool(case.lower.layers), bool(case.upper.layers)))
-        names = ("number", "step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields)
-        #: variables that are stored of the last state of each history alone
-        self._at_end = set() if results else set(SLIDING)
-        self._at_end |= set(FIELDS).intersection(names) if case.output.profiles == "last" else set()
-        #: the rows so far by variable, as they came; and the last values, (B, ...)
-        self._rows: dict[str, list[Any]] = {name: [] for name in names if name not in self._at_end}
+        #: the rows so far by variable, as they came; the last values of what has no rows, (B, ...)
+        self._rows: dict[str, list[Any]] = {"number": [np.empty(0, np.int64)]}
         self._last: dict[str, FloatArray] = {}
+        layers = len(case.lower.layers), len(case.upper.layers)
+        sizes = {"element": case.line.n, "layer": 1 + layers[0], "layer_upper": 1 + layers[1]}
+        at_end = set() if results else set(SLIDING)
+        at_end |= set(FIELDS) if case.output.profiles == "last" else set()
+        of_layers = layer_names((layers[0] > 0, layers[1] > 0))
+        for name in ("step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields):
+            shape = [sizes[axis] for axis in VARIABLES[name].dimensions[1:]]
+            if name in at_end:
+                self._last[name] = np.full((count, *shape), np.nan)
+            else:
+                self._rows[name] = [np.empty((0, *shape), VARIABLES[name].dtype)]
         #: (B,) s, time of the last stored state; negative: there is none
         self._last_time = np.full(count, -1.0)
         #: the last states that histories went on from; None before the first
@@ -217,8 +224,8 @@ class Recorder:
         of = {**before.data, "number": np.zeros_like(before.step), "contact_iterations": iterations}
         for name, parts in self._rows.items():
             parts.append(of[name][rows])
-        if rows[-1]:
-            self._last = {name: of[name][None].copy() for name in self._at_end}
+        for name, last in self._last.items() if rows[-1] else ():
+            last[0] = of[name]
         self._last_time[0] = times[rows][-1]
         if case.output.boundary != "last":
             self._boundaries.states = stored_states(before.data, "boundary_step", times[rows])
@@ -255,11 +262,8 @@ class Recorder:
                     self._worst.take(name, np.array([history]), *np.array([entries]).T)
         for name, rows in self._rows.items():
             rows.append(VALUES[name](instant))
-        for name in self._at_end:
-            values = VALUES[name](instant)
-            if name not in self._last:
-                self._last[name] = np.full((len(self._cases), *values.shape[1:]), np.nan)
-            self._last[name][number] = values
+        for name, last in self._last.items():
+            last[number] = VALUES[name](instant)
         self._last_time[number] = instant.state.time
 
     # -- what there is -----------------------------------------------------------------------------
@@ -275,11 +279,9 @@ class Recorder:
         A state that a single history has come to, but that is not stored, is a row, too.
         """
         rows, last = self._rows, self._last
-        if not rows["number"]:
-            return np.zeros(len(self._cases) + 1, np.int64), {}, {}
         if unstored is not None:
             rows = {name: [*parts, VALUES[name](unstored)] for name, parts in rows.items()}
-            last = {name: VALUES[name](unstored) for name in self._at_end}
+            last = {name: VALUES[name](unstored) for name in last}
         order = np.argsort(np.concatenate(rows["number"]), kind="stable")
         data = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
         offsets = np.searchsorted(data["number"], np.arange(len(self._cases) + 1))
@@ -292,11 +294,10 @@ class Recorder:
     def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
         """Return all histories as they are stored; those that failed have the rows before."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
-        offsets, data, whole = self._columns()
-        if data:
-            stresses = [self._stresses.arrays(number) for number in range(count)]
-            whole = whole | self._of_ends(offsets, data) | _points(stresses, count)
-            data |= stress_columns(stresses, data["time"], offsets)
+        offsets, data, last = self._columns()
+        stresses = [self._stresses.arrays(number) for number in range(count)]
+        whole = last | self._of_ends(offsets, data) | _points(stresses, count)
+        data |= stress_columns(stresses, data["time"], offsets)
         every = warnings_of_histories(self._cases, self._worst.measures)
         return HistoryColumns(
             offsets,
@@ -318,13 +319,12 @@ class Recorder:
         through = np.full((2, len(self._cases)), np.inf)
         for number, (instant, place) in self._ended.items():
             through[:, number] = instant.state.through[place]
-        ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
-        numbers = laboratory_numbers(self._cases, np.arange(len(self._cases)), ends)
-        stored = np.diff(offsets) > 0
-        return {
-            **times_through(self._cases[0], through),
-            **{name: np.where(stored, values, np.nan) for name, values in numbers.items()},
-        }
+        numbers, stored = times_through(self._cases[0], through), np.diff(offsets) > 0
+        if stored.any():
+            ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
+            of_ends = laboratory_numbers(self._cases, np.arange(len(self._cases)), ends)
+            numbers |= {name: np.where(stored, of, np.nan) for name, of in of_ends.items()}
+        return numbers
 
     def _end(self, number: int) -> tuple[Block, State]:
         """Return the last state of a history, as of a block of one."""
