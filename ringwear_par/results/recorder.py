@@ -201,9 +201,8 @@ class Recorder:
         self._started, self._stepping = time.perf_counter(), 0.0
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
-        #: attributes of the interrupted history, and where it continues
+        #: attributes of the interrupted history
         self._before: Mapping[str, Any] = {}
-        self.first: State | None = None
         if before is not None:
             self._restore(before)
 
@@ -212,7 +211,7 @@ class Recorder:
 
         The last row of a history that was stopped, or ends later now, may not be among them.
         """
-        self.first, self._before = before.checkpoint.state, before.attributes
+        self._before = before.attributes
         self._worst.measures = {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
         case, times = self._cases[0], before.data["time"]
         if case.output.times:
@@ -267,11 +266,6 @@ class Recorder:
         self._last_time[number] = instant.state.time
 
     # -- what there is -----------------------------------------------------------------------------
-
-    @property
-    def finished(self) -> bool:
-        """Whether a single history has come to its end."""
-        return 0 in self._ended
 
     def _columns(self, unstored: Instant | None = None) -> tuple[IntArray, Arrays, Arrays]:
         """Return offsets and rows by history, see ``HistoryColumns``, and last values alone.

@@ -234,7 +234,8 @@ class Run:
     ) -> None:
         self._case, self._path, self._output, self._comm = case, path, output, comm
         self._recorder, self._signals = Recorder([case], comm, before), StopSignals()
-        begun = 0.0 if before is None else float(before.last_state.time[0])
+        self._start = None if before is None else before.last_state
+        begun = 0.0 if self._start is None else float(self._start.time[0])
         self._progress = Progress(case.time.end, begun, silent=comm.rank > 0)
         #: the signal that the ranks agreed to stop for, or 0
         self._agreed = 0
@@ -243,8 +244,8 @@ class Run:
 
     def compute(self) -> None:
         """Step to the end or to a signal, write it, and print what came of it. Collective."""
-        output, recorder, first = self._output, self._recorder, self._comm.rank == 0
-        if (start := recorder.first) is not None and first:
+        output, start, first = self._output, self._start, self._comm.rank == 0
+        if start is not None and first:
             log.info("continuing %s after step %d (%g s)", output, start.steps[0], start.time[0])
         with ExitStack() as cleanup:
             cleanup.push(self._signals)  # which take over with the first state
@@ -254,16 +255,16 @@ class Run:
             except RingwearError as error:
                 self._fail(error)
             result = self._save()
+            is_complete = result.attributes["status"] == "complete"
             if first:
                 file, page = (shlex.quote(str(p)) for p in (output, output.with_suffix(".html")))
                 report = f"ringwear report {file} -o {page}"
-                after = report if recorder.finished else "the same command with --restart"
+                after = report if is_complete else "the same command with --restart"
                 written = f"{output} ({counted(len(result.step), 'state')})"
-                print(
-                    result.summary(), *labelled([("written", written), ("next", after)]), sep="\n"
-                )
+                lines = labelled([("written", written), ("next", after)])
+                print(result.summary(), *lines, sep="\n")
             with together(self._comm):
-                if not recorder.finished:
+                if not is_complete:
                     raise ComputationError(
                         f"stopped by {name_of(self._agreed)} after step {result.step[-1]} (at "
                         f"{result.data['time'][-1]:g} of {self._case.time.end:g} s); {output} "
