@@ -40,7 +40,8 @@ from ringwear_par.results.variables import (
 )
 from ringwear_par.results.warnings import warnings_of_histories
 
-Value, Arrays = Callable[[Instant], Any], dict[str, Any]
+Value = Callable[[Instant], Any]
+Arrays = dict[str, Any]
 
 # -- what is stored of a state ---------------------------------------------------------------------
 
