@@ -74,7 +74,7 @@ class Worst:
     def __call__(self, instant: Instant) -> None:
         """Take new states."""
         block, state = instant.block, instant.state
-        for name, values in {**balances(block, state), **_measures(block, state)}.items():
+        for name, values in {**balances(instant), **_measures(block, state)}.items():
             value, *place = values if isinstance(values, tuple) else (values,)
             self.take(name, block.number, value, state.time, *place)
 
@@ -98,8 +98,9 @@ class Worst:
         return np.max([self.measures.get(name, none)[0] for name in _EXACT], axis=0)
 
 
-def balances(block: Block, state: State) -> dict[str, Any]:
+def balances(instant: Instant) -> dict[str, Any]:
     """Return the defects of states, see ``BALANCES``, (B,) each or 0."""
+    block, state = instant.block, instant.state
     p, line, pair = state.pressure, block.line, block.compliance.pair
     force = p @ line.area
     friction = block.moment(p)
@@ -111,13 +112,12 @@ def balances(block: Block, state: State) -> dict[str, Any]:
         carried[:, pair == number] = weights @ p[pair == number].T
     lower, upper, turned_lower, turned_upper = carried
     asked = block.load.at(state.time) if block.by_force else force
-    gap = block.compliance.gap(block.worn_gap(state.wear), p, state.approach)
     return {
         "force": _defect(force, asked),
         "torque": np.maximum(_defect(turned_lower, friction), _defect(turned_upper, friction)),
         "reaction": np.maximum(_defect(lower, force), _defect(upper, force)),
         "energy": _energy_defect(block, state) if block.paces is None else 0.0,
-        "residual": block.compliance.residual(gap, p),
+        "residual": block.compliance.residual(instant.gap, p),
         "step_error": state.error,
     }
 

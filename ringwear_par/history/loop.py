@@ -7,6 +7,7 @@ shorter one in the next round, while the others go on. What fails is a mask, wit
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -67,6 +68,12 @@ class Instant:
     ended: BoolArray
     #: of elements that follow the wear
     following: Following | None = None
+
+    @cached_property
+    def gap(self) -> FloatArray:
+        """(B, n) mm, between the bodies under pressure."""
+        of, state = self.block, self.state
+        return of.compliance.gap(of.worn_gap(state.wear), state.pressure, state.approach)
 
 
 #: takes new states, and says whether to stop all histories there

@@ -1,9 +1,8 @@
 """``ringwear export`` of runs: for ParaView (.vtkhdf) and for spreadsheets (.csv, .xlsx)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -123,13 +122,11 @@ def titled(name: str, unit: str) -> str:
 # -- for ParaView ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Cells:
+class Cells(NamedTuple):
     """What a VTK file holds at t times: points, cells, fields on both."""
 
-    #: (t, m, 3) float, mm
+    #: (t, m, 3) float, mm; and (c, q) int, points of each cell, the same at all times
     points: FloatArray
-    #: (c, q) int, points of each cell, the same at all times
     cells: IntArray
     #: by name, (t, m) or (t, m, 3), and (t, c) or (t, c, 3)
     point_data: dict[str, Any]
@@ -144,38 +141,40 @@ def _write_vtkhdf(output: Path, times: Sequence[float], content: Cells) -> None:
     OSError : the file.
     """
     (count, points, _), (cells, corners) = content.points.shape, content.cells.shape
-    numbers = np.arange(count, dtype=np.int64)
+    numbers, zeros = np.arange(count), np.zeros((count, 1), dtype=np.int64)
+    arrays: dict[str, Any] = {
+        "NumberOfPoints": [points],
+        "NumberOfCells": [cells],
+        "NumberOfConnectivityIds": [cells * corners],
+        # one part, whose cells serve at all times
+        "Connectivity": content.cells.ravel().astype(np.int64),
+        "Offsets": corners * np.arange(cells + 1),
+        "Types": np.full(cells, _QUADRANGLE if corners == 4 else _LINE, dtype=np.uint8),
+        "Points": content.points.reshape(-1, 3),
+        "Steps/Values": np.array(times, dtype=np.float64),
+        "Steps/PartOffsets": zeros[:, 0],
+        "Steps/NumberOfParts": np.ones_like(numbers),
+        "Steps/PointOffsets": points * numbers,
+        "Steps/CellOffsets": zeros,
+        "Steps/ConnectivityIdOffsets": zeros,
+    }
+    for group, size, fields in (
+        ("PointData", points, content.point_data),
+        ("CellData", cells, content.cell_data),
+    ):
+        for name, values in fields.items():
+            arrays[f"{group}/{name}"] = values.reshape(count * size, *values.shape[2:])
+            arrays[f"Steps/{group}Offsets/{name}"] = size * numbers
     with atomic_hdf5(output) as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 0])
         root.attrs.create("Type", b"UnstructuredGrid", dtype="S16")
-        for name, size in (
-            ("NumberOfPoints", points),
-            ("NumberOfCells", cells),
-            ("NumberOfConnectivityIds", cells * corners),
-        ):
-            root[name] = np.array([size], dtype=np.int64)
-        # one part, whose cells serve at all times
-        root["Connectivity"] = content.cells.ravel().astype(np.int64)
-        root["Offsets"] = corners * np.arange(cells + 1, dtype=np.int64)
-        root["Types"] = np.full(cells, _QUADRANGLE if corners == 4 else _LINE, dtype=np.uint8)
-        root["Points"] = content.points.reshape(-1, 3)
-        steps = root.create_group("Steps")
-        steps.attrs["NSteps"] = np.int64(count)
-        steps["Values"] = np.array(times, dtype=np.float64)
-        steps["PartOffsets"] = np.zeros(count, dtype=np.int64)
-        steps["NumberOfParts"] = np.ones(count, dtype=np.int64)
-        steps["PointOffsets"] = points * numbers
-        steps["CellOffsets"] = np.zeros((count, 1), dtype=np.int64)
-        steps["ConnectivityIdOffsets"] = np.zeros((count, 1), dtype=np.int64)
-        for group, size, fields in (
-            ("PointData", points, content.point_data),
-            ("CellData", cells, content.cell_data),
-        ):
-            data, offsets = root.create_group(group), steps.create_group(f"{group}Offsets")
-            for name, values in fields.items():
-                data[name] = values.reshape(count * size, *values.shape[2:])
-                offsets[name] = size * numbers
+        for group in ("PointData", "CellData"):  # there without fields, too
+            root.create_group(group)
+            root.create_group(f"Steps/{group}Offsets")
+        for name, values in arrays.items():
+            root[name] = np.asarray(values)
+        root["Steps"].attrs["NSteps"] = np.int64(count)
 
 
 def _boundary_cells(states: Sequence[BoundaryState]) -> Cells:
@@ -184,21 +183,18 @@ def _boundary_cells(states: Sequence[BoundaryState]) -> Cells:
     An element is a line of three points.
     """
 
-    def joined(name: str, columns: Sequence[int] | None = None) -> Any:
+    def joined(name: str) -> Any:
         """Return an array of both bodies, (t, m or c, ...)."""
-        values = [
-            np.concatenate([getattr(body, name) for body in state.bodies]) for state in states
-        ]
-        return np.array(values) if columns is None else np.array(values)[..., columns]
+        return np.array([np.concatenate([getattr(b, name) for b in s.bodies]) for s in states])
 
     bodies = states[0].bodies
     cells = np.concatenate([bodies[0].elements, bodies[1].elements + len(bodies[0].nodes)])
     number = np.repeat([0, 1], [len(body.elements) for body in bodies])
-    nodes, xyz = joined("nodes"), (0, 2, 1)
-    points = np.stack([nodes[..., 0], np.zeros(nodes.shape[:2]), nodes[..., 1]], axis=-1)
+    points, xyz = np.insert(joined("nodes"), 1, 0.0, axis=-1), (0, 2, 1)
     of_cells = {name: joined(name) for name in ("pressure", "wear", "face")}
-    of_cells |= {"traction": joined("traction", xyz), "body": np.tile(number, (len(states), 1))}
-    return Cells(points, cells, {"displacement": joined("displacement", xyz)}, of_cells)
+    of_cells["traction"] = joined("traction")[..., xyz]
+    of_cells["body"] = np.tile(number, (len(states), 1))
+    return Cells(points, cells, {"displacement": joined("displacement")[..., xyz]}, of_cells)
 
 
 def _stress_cells(data: Mapping[str, Any]) -> Cells:

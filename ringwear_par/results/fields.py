@@ -1,7 +1,6 @@
 """Stresses and fields on whole boundaries: what the arrays of a result have of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +9,6 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
     MESH_FIELDS,
-    BoundaryFields,
     BoundaryState,
     max_shear,
     mises,
@@ -99,23 +97,6 @@ def side_words(numbers: FloatArray) -> Any:
 
 
 # -- what a result has of them ---------------------------------------------------------------------
-
-
-def boundary_states(data: Mapping[str, Any]) -> tuple[BoundaryState, ...]:
-    """Return the fields on boundaries of which these are the arrays, () where there are none."""
-    if "boundary/lower/time" not in data:
-        return ()
-
-    def of(body: str, t: int) -> BoundaryFields:
-        names = (field.name for field in fields(BoundaryFields))
-        arrays = {name: data[f"boundary/{body}/{name}"] for name in names}
-        return BoundaryFields(**{n: v if n in MESH_FIELDS else v[t] for n, v in arrays.items()})
-
-    times, steps = (data[f"boundary/lower/{name}"].tolist() for name in ("time", "steps_made"))
-    return tuple(
-        BoundaryState(step, time, (of("lower", t), of("upper", t)))
-        for t, (step, time) in enumerate(zip(steps, times, strict=True))
-    )
 
 
 def stresses(result: Result) -> dict[str, Any]:

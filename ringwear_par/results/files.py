@@ -76,7 +76,7 @@ def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5
             if file.attrs.get("software") != software:
                 raise ValueError("software")
             yield file
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # h5py has no errors of its own: any may come
         if isinstance(error, OSError) and error.errno:  # somebody writes to it, a disk is away

@@ -24,16 +24,23 @@ class Progress:
 
     Parameters
     ----------
-    total : of a bar; None: no bar, only a text.
-    start : done before.
+    total, start : of a bar, and done before; None: no bar, only a text.
     pause : s, between updates of a bar.
+    silent : whether to show nothing, as on other ranks than the first.
     """
 
-    def __init__(self, total: float | None = None, start: float = 0.0, pause: float = 0.2) -> None:
+    def __init__(
+        self,
+        total: float | None = None,
+        start: float = 0.0,
+        pause: float = 0.2,
+        *,
+        silent: bool = False,
+    ) -> None:
         self._last = time.perf_counter()
         self._bar: Any = None
-        self._pause = PROGRESS_SECONDS
-        if sys.stderr.isatty():
+        self._pause = math.inf if silent else PROGRESS_SECONDS
+        if sys.stderr.isatty() and not silent:
             from tqdm import tqdm  # slow to import
 
             form = "{desc} [{elapsed}]" if total is None else "{desc} {bar} [{elapsed}<{remaining}]"

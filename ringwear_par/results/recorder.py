@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,33 +35,45 @@ from ringwear_par.results.variables import (
     HISTORIES,
     POINT_SIDES,
     SLIDING,
+    VARIABLES,
     layer_names,
 )
 from ringwear_par.results.warnings import warnings_of_histories
 
-Value = Callable[[Block, State], Any]
+Value = Callable[[Instant], Any]
+Arrays = dict[str, Any]
 
 # -- what is stored of a state ---------------------------------------------------------------------
 
 
-def _twist(block: Block, state: State) -> FloatArray:
+def _twist(of: Instant) -> FloatArray:
     """Return the area mean of the circumferential displacement jump, (B,) mm."""
-    line, pair, soft = block.line, block.compliance.pair, block.compliance.softness
-    per_shear = np.array([of.twist for of in line.pairs])[pair] / line.area.sum()
-    jump = np.einsum("bi,bin,bn->b", soft, per_shear, state.pressure)
-    return block.friction.at(state.time) * jump
+    line, compliance = of.block.line, of.block.compliance
+    per_shear = np.array([pair.twist for pair in line.pairs])[compliance.pair] / line.area.sum()
+    jump = np.einsum("bi,bin,bn->b", compliance.softness, per_shear, of.state.pressure)
+    return of.block.friction.at(of.state.time) * jump
 
 
-def _gap(block: Block, state: State) -> FloatArray:
+def _gap(of: Instant) -> FloatArray:
     """Return the gaps of the bodies under pressure, (B, n) mm; in contact 0 but for round-off."""
-    p = state.pressure
-    gap = block.compliance.gap(block.worn_gap(state.wear), p, state.approach)
-    return np.where(p > 0.0, 0.0, np.maximum(gap, 0.0))
+    return np.where(of.state.pressure > 0.0, 0.0, np.maximum(of.gap, 0.0))
 
 
-def _layers(block: Block, state: State, body: int) -> tuple[FloatArray, FloatArray]:
+def _pressure_velocity(of: Instant) -> FloatArray:
+    """Return the mean pressure on the nominal area times speed, (B,) MPa m/s."""
+    case, omega = of.block.cases.every[0], of.block.omega.at(of.state.time)
+    return 1e-3 * (of.state.pressure @ of.block.line.area) / case.area * omega * case.mean_radius
+
+
+def _distance(of: Instant) -> FloatArray:
+    """Return the sliding distance at the mean radius, (B,) m."""
+    return 1e-3 * of.block.omega.integral(of.state.time) * of.block.cases.every[0].mean_radius
+
+
+def _layers(of: Instant, body: int) -> tuple[FloatArray, FloatArray]:
     """Return the ends of the layers of a body, and its wear, (layers + 1, B, n) and (B, n) mm."""
-    for wearing, wear in zip(block.wearing, state.wear, strict=True):
+    block = of.block
+    for wearing, wear in zip(block.wearing, of.state.wear, strict=True):
         if wearing.body == body:
             return wearing.ends, wear
     case = block.cases.every[0]
@@ -73,64 +85,47 @@ def _of_body(body: int) -> dict[str, Value]:
     """Return the variables of one of the bodies by name."""
     name = BODIES[body]
 
-    def wear(block: Block, state: State) -> FloatArray:
-        return block.both(state.wear)[body]
+    def wear(of: Instant) -> FloatArray:
+        return of.block.both(of.state.wear)[body]
 
-    def left(block: Block, state: State) -> FloatArray:
-        return layer_left(*_layers(block, state, body))
+    def left(of: Instant) -> FloatArray:
+        return layer_left(*_layers(of, body))
 
-    def share_through(block: Block, state: State) -> FloatArray:
-        through = left(block, state) <= 0.0
-        return through @ block.line.area / (np.ones_like(through) @ block.line.area)  # 1 at most
-
-    def volumes(block: Block, state: State) -> FloatArray:
-        return layer_volumes(block.line.area, *_layers(block, state, body))
+    def share_through(of: Instant) -> FloatArray:
+        through, area = left(of) <= 0.0, of.block.line.area
+        return through @ area / (np.ones_like(through) @ area)  # 1 at most
 
     return {
         f"wear_{name}": wear,
-        f"worn_volume_{name}": lambda block, state: wear(block, state) @ block.line.area,
+        f"worn_volume_{name}": lambda of: wear(of) @ of.block.line.area,
         f"layer_left_{name}": left,
         f"share_through_{name}": share_through,
-        f"worn_volume_{name}_layers": volumes,
+        f"worn_volume_{name}_layers": lambda of: layer_volumes(
+            of.block.line.area, *_layers(of, body)
+        ),
     }
-
-
-def _pressure_velocity(block: Block, state: State) -> FloatArray:
-    """Return the mean pressure on the nominal area times speed, (B,) MPa m/s."""
-    case, omega = block.cases.every[0], block.omega.at(state.time)
-    return 1e-3 * (state.pressure @ block.line.area) / case.area * omega * case.mean_radius
-
-
-def _distance(block: Block, state: State) -> FloatArray:
-    """Return the sliding distance at the mean radius, (B,) m."""
-    return 1e-3 * block.omega.integral(state.time) * block.cases.every[0].mean_radius
 
 
 #: the variables of states by name, (B,) or (B, n); of iterations all so far
 VALUES: Mapping[str, Value] = {
-    "number": lambda block, state: block.number,
-    "step": lambda block, state: state.steps,
-    "contact_iterations": lambda block, state: state.iterations,
-    "time": lambda block, state: state.time,
-    "approach": lambda block, state: state.approach,
-    "penetration": lambda block, state: state.approach - state.first_approach,
-    "force": lambda block, state: state.pressure @ block.line.area,
-    "torque": lambda block, state: block.friction.at(state.time) * block.moment(state.pressure),
+    "number": lambda of: of.block.number,
+    "step": lambda of: of.state.steps,
+    "contact_iterations": lambda of: of.state.iterations,
+    "time": lambda of: of.state.time,
+    "approach": lambda of: of.state.approach,
+    "penetration": lambda of: of.state.approach - of.state.first_approach,
+    "force": lambda of: of.state.pressure @ of.block.line.area,
+    "torque": lambda of: of.block.friction.at(of.state.time) * of.block.moment(of.state.pressure),
     "twist": _twist,
-    "dissipated_energy": lambda block, state: state.energy,
-    "normal_work": lambda block, state: state.normal_work,
-    "pressure": lambda block, state: state.pressure,
+    "dissipated_energy": lambda of: of.state.energy,
+    "normal_work": lambda of: of.state.normal_work,
+    "pressure": lambda of: of.state.pressure,
     "gap": _gap,
     "sliding_distance": _distance,
     "pressure_velocity": _pressure_velocity,
     **_of_body(0),
     **_of_body(1),
 }
-
-
-def _values(instant: Instant, names: Iterable[str]) -> dict[str, Any]:
-    """Return what is stored of states under these names."""
-    return {name: VALUES[name](instant.block, instant.state) for name in names}
 
 
 def _moment(instant: Instant, place: int) -> Moment:
@@ -184,18 +179,20 @@ class Recorder:
         self._worst = Worst(count)
         self._boundaries = Boundaries(case, comm)
         self._stresses = Stresses(cases, comm, points_only=not results)
-        of_layers = layer_names((bool(case.lower.layers), bool(case.upper.layers)))
-        names = ("number", "step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields)
-        #: variables that are stored of the last state of each history alone
-        self._at_end = {
-            name
-            for name in names
-            if (name in SLIDING and not results)
-            or (name in FIELDS and case.output.profiles == "last")
-        }
-        #: the rows so far by variable, as they came; and the last values, (B, ...)
-        self._rows: dict[str, list[Any]] = {name: [] for name in names if name not in self._at_end}
+        #: the rows so far by variable, as they came; the last values of what has no rows, (B, ...)
+        self._rows: dict[str, list[Any]] = {"number": [np.empty(0, np.int64)]}
         self._last: dict[str, FloatArray] = {}
+        layers = len(case.lower.layers), len(case.upper.layers)
+        sizes = {"element": case.line.n, "layer": 1 + layers[0], "layer_upper": 1 + layers[1]}
+        at_end = set() if results else set(SLIDING)
+        at_end |= set(FIELDS) if case.output.profiles == "last" else set()
+        of_layers = layer_names((layers[0] > 0, layers[1] > 0))
+        for name in ("step", *HISTORIES, *of_layers, *SLIDING, *case.output.fields):
+            shape = [sizes[axis] for axis in VARIABLES[name].dimensions[1:]]
+            if name in at_end:
+                self._last[name] = np.full((count, *shape), np.nan)
+            else:
+                self._rows[name] = [np.empty((0, *shape), VARIABLES[name].dtype)]
         #: (B,) s, time of the last stored state; negative: there is none
         self._last_time = np.full(count, -1.0)
         #: the last states that histories went on from; None before the first
@@ -205,9 +202,8 @@ class Recorder:
         self._started, self._stepping = time.perf_counter(), 0.0
         #: s, spent by others on output, which is no time of stepping
         self.seconds_output = 0.0
-        #: attributes of the interrupted history, and where it continues
+        #: attributes of the interrupted history
         self._before: Mapping[str, Any] = {}
-        self.first: State | None = None
         if before is not None:
             self._restore(before)
 
@@ -216,7 +212,7 @@ class Recorder:
 
         The last row of a history that was stopped, or ends later now, may not be among them.
         """
-        self.first, self._before = before.checkpoint.state, before.attributes
+        self._before = before.attributes
         self._worst.measures = {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
         case, times = self._cases[0], before.data["time"]
         if case.output.times:
@@ -228,8 +224,8 @@ class Recorder:
         of = {**before.data, "number": np.zeros_like(before.step), "contact_iterations": iterations}
         for name, parts in self._rows.items():
             parts.append(of[name][rows])
-        if rows[-1]:
-            self._last = {name: of[name][None].copy() for name in self._at_end}
+        for name, last in self._last.items() if rows[-1] else ():
+            last[0] = of[name]
         self._last_time[0] = times[rows][-1]
         if case.output.boundary != "last":
             self._boundaries.states = stored_states(before.data, "boundary_step", times[rows])
@@ -264,36 +260,23 @@ class Recorder:
                 self._boundaries(state, before)
                 for name, entries in self._stresses(history, state, before).items():
                     self._worst.take(name, np.array([history]), *np.array([entries]).T)
-        for name, values in _values(instant, self._rows).items():
-            self._rows[name].append(values)
-        for name, values in _values(instant, self._at_end).items():
-            if name not in self._last:
-                self._last[name] = np.full((len(self._cases), *values.shape[1:]), np.nan)
-            self._last[name][number] = values
+        for name, rows in self._rows.items():
+            rows.append(VALUES[name](instant))
+        for name, last in self._last.items():
+            last[number] = VALUES[name](instant)
         self._last_time[number] = instant.state.time
 
     # -- what there is -----------------------------------------------------------------------------
 
-    @property
-    def finished(self) -> bool:
-        """Whether a single history has come to its end."""
-        return 0 in self._ended
+    def _columns(self, unstored: Instant | None = None) -> tuple[IntArray, Arrays, Arrays]:
+        """Return offsets and rows by history, see ``HistoryColumns``, and last values alone.
 
-    def _columns(
-        self, unstored: Instant | None = None
-    ) -> tuple[IntArray, dict[str, Any], dict[str, Any]]:
-        """Return all rows by history, see ``HistoryColumns``, and last values alone.
-
-        Parameters
-        ----------
-        unstored : the state that a single history has come to, if that is not stored.
+        A state that a single history has come to, but that is not stored, is a row, too.
         """
         rows, last = self._rows, self._last
-        if not rows["number"]:
-            return np.zeros(len(self._cases) + 1, np.int64), {}, {}
         if unstored is not None:
-            rows = {name: [*rows[name], values] for name, values in _values(unstored, rows).items()}
-            last = _values(unstored, self._at_end)
+            rows = {name: [*parts, VALUES[name](unstored)] for name, parts in rows.items()}
+            last = {name: VALUES[name](unstored) for name in last}
         order = np.argsort(np.concatenate(rows["number"]), kind="stable")
         data = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
         offsets = np.searchsorted(data["number"], np.arange(len(self._cases) + 1))
@@ -304,18 +287,13 @@ class Recorder:
         return offsets, data, last
 
     def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
-        """Return all histories as they are stored.
-
-        Parameters
-        ----------
-        failures : of histories that could not go on; they have the rows before.
-        """
+        """Return all histories as they are stored; those that failed have the rows before."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
-        offsets, data, whole = self._columns()
-        if data:
-            stresses = [self._stresses.arrays(number) for number in range(count)]
-            whole = whole | self._of_ends(offsets, data) | _points(stresses, count)
-            data |= stress_columns(stresses, data["time"], offsets)
+        offsets, data, last = self._columns()
+        stresses = [self._stresses.arrays(number) for number in range(count)]
+        whole = last | self._of_ends(offsets, data) | _points(stresses, count)
+        data |= stress_columns(stresses, data["time"], offsets)
+        every = warnings_of_histories(self._cases, self._worst.measures)
         return HistoryColumns(
             offsets,
             {name: values for name, values in data.items() if name not in ("number", "step")},
@@ -324,7 +302,7 @@ class Recorder:
             flags=tuple(
                 () if i in failures
                 else (*(w.code for w in warnings), *(f"stopped_by_{n}" for n in self._limits(i)))
-                for i, warnings in enumerate(self._warnings())
+                for i, warnings in enumerate(every)
             ),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if i in failures else "done" for i in range(count)),
@@ -336,16 +314,12 @@ class Recorder:
         through = np.full((2, len(self._cases)), np.inf)
         for number, (instant, place) in self._ended.items():
             through[:, number] = instant.state.through[place]
-        ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
-        numbers = laboratory_numbers(self._cases, np.arange(len(self._cases)), ends)
-        stored = np.diff(offsets) > 0
-        return {
-            **times_through(self._cases[0], through),
-            **{name: np.where(stored, values, np.nan) for name, values in numbers.items()},
-        }
-
-    def _warnings(self) -> list[list[ValidityWarning]]:
-        return warnings_of_histories(self._cases, self._worst.measures)
+        numbers, stored = times_through(self._cases[0], through), np.diff(offsets) > 0
+        if stored.any():
+            ends = {name: values[offsets[1:] - 1] for name, values in data.items()}
+            of_ends = laboratory_numbers(self._cases, np.arange(len(self._cases)), ends)
+            numbers |= {name: np.where(stored, of, np.nan) for name, of in of_ends.items()}
+        return numbers
 
     def _end(self, number: int) -> tuple[Block, State]:
         """Return the last state of a history, as of a block of one."""
@@ -367,13 +341,9 @@ class Recorder:
     # -- results -----------------------------------------------------------------------------------
 
     def result(self, error: str = "") -> Result:
-        """Return the result of a single history so far. Collective on comm.
+        """Return the result of a single history so far, or up to an error. Collective on comm.
 
         The state that it has come to is its last row, also where its case does not store it.
-
-        Parameters
-        ----------
-        error : why the history cannot go on, "" where it can.
         """
         assert self.last is not None
         is_stored = self.last.state.time[0] <= self._last_time[0]
@@ -389,7 +359,7 @@ class Recorder:
         offsets, data, last = self._columns(unstored)
         data |= laboratory_numbers(self._cases, data.pop("number"), data)
         results: list[Result | Exception] = []
-        for i, warnings in enumerate(self._warnings()):
+        for i, warnings in enumerate(warnings_of_histories(self._cases, self._worst.measures)):
             if i in failures:
                 results.append(failures[i])
                 continue
@@ -430,10 +400,7 @@ class Recorder:
         }
 
     def _seconds(self, block: Block) -> dict[str, float]:
-        """Return the wall times so far by attribute, s, those of an interrupted run included.
-
-        Of several histories, those of one in the mean.
-        """
+        """Return the wall times so far by attribute, s: of several histories, those of one."""
         assert self.last is not None
         pair, following = block.line.pairs[0], self.last.following
         elastic = np.zeros(2) if self._pair_is_shared else pair.seconds

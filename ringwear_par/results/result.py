@@ -4,7 +4,7 @@ import base64
 import json
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,8 +16,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.cases.units import with_signs
 from ringwear_par.elasticity.mesh import ContactLine
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.elasticity.stress.fields import BoundaryState
+from ringwear_par.elasticity.sections import BODIES, BodyName
+from ringwear_par.elasticity.stress.fields import MESH_FIELDS, BoundaryFields, BoundaryState
 from ringwear_par.errors import ComputationError, RingwearError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.state import State
@@ -46,9 +46,7 @@ class Outcome:
         raise NotImplementedError
 
     def save(self, path: str | Path) -> None:
-        """Write its file, or the files of its folder, which is made.
-
-        The process that calls this writes, each file whole.
+        """Write its file, or the files of its folder, which is made; each whole, by this process.
 
         Raises
         ------
@@ -150,10 +148,18 @@ class Result(Outcome):
 
     @property
     def boundary(self) -> tuple[BoundaryState, ...]:
-        """Stored fields on the whole boundaries."""
-        from ringwear_par.results.fields import boundary_states
+        """Stored fields on the whole boundaries, () where there are none."""
+        names, data = [field.name for field in fields(BoundaryFields)], self.data
 
-        return boundary_states(self.data)
+        def of(body: BodyName, t: int) -> BoundaryFields:
+            arrays = {name: data[f"boundary/{body}/{name}"] for name in names}
+            return BoundaryFields(**{n: v if n in MESH_FIELDS else v[t] for n, v in arrays.items()})
+
+        times, steps = (data.get(f"boundary/lower/{name}", ()) for name in ("time", "steps_made"))
+        return tuple(
+            BoundaryState(int(step), float(time), (of("lower", t), of("upper", t)))
+            for t, (step, time) in enumerate(zip(steps, times, strict=True))
+        )
 
     @property
     def case(self) -> str:
@@ -203,11 +209,7 @@ class Result(Outcome):
         return to_xarray(self)
 
     def save(self, path: str | Path) -> None:
-        """Write its file, see ``Outcome.save``.
-
-        Where several processes have the same result and write the same file, it is whole at any
-        time, and in the end that of one of them.
-        """
+        """Write its file, see ``Outcome.save``."""
         from ringwear_par.results.files import write_result
 
         check_writable(Path(path))

@@ -4,7 +4,7 @@ import logging
 import shlex
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -99,9 +99,8 @@ def run_case(
 
     Parameters
     ----------
-    path : case file.
+    path, overrides : case file, and ``KEY=VALUE`` texts.
     output : result file; one of a complete or failed run is replaced.
-    overrides : ``KEY=VALUE`` texts.
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
     figure : picture to be drawn at the end, see ``pictures.figures.FigureFile``.
@@ -120,16 +119,17 @@ def run_case(
         return case, _interrupted(path, output, case, restart, overwrite)
 
     case, before = on_first_rank(comm, checked)
-    if before is None or not _is_at_end(case, before):
+    if before is not None and _is_at_end(case, before):
+        limit = before.attributes.get("stopped_by")
+        early = f" since it reached {limit}, which may grow" if limit else ""
+        if comm.rank == 0:
+            log.info("%s is complete%s: nothing to compute", output, early)
+    else:
         if comm.rank == 0:
             warn_of_threads(comm.size)
             if before is None and not overwrite:
                 announce_replacement(output)
         Run(case, path, output, before, comm).compute()
-    elif comm.rank == 0:
-        limit = before.attributes.get("stopped_by")
-        early = f" since it reached {limit}, which may grow" if limit else ""
-        log.info("%s is complete%s: nothing to compute", output, early)
     if figure is not None:
         on_first_rank(comm, lambda: figure.draw(output))
 
@@ -180,19 +180,17 @@ def _difference(before: Result, case: Case) -> str:
     Keys are compared as they are written, since to read a stored case is to run the laws in it.
     """
     reached, version = float(before.last_state.time[0]), before.attributes["version"]
-    if version != __version__:
-        return f"was computed by version {version}, this is {__version__}; --restart needs the same"
-    if before.user_laws != law_sources(case):
-        return (
-            "was computed with another wear law in a Python file than there is now; --restart "
-            "needs the same"
-        )
-    if _keys(before.case) != _keys(case.stored_text):
-        growing = "time.end" if case.time.adaptive else "time.steps"
-        return (
-            f"holds another case; --restart needs the same case, only {growing} and limits in "
-            "[stop] may change"
-        )
+    growing = "time.end" if case.time.adaptive else "time.steps"
+    for other, differs in (
+        (f"version {version}, this is {__version__}", version != __version__),
+        ("another wear law in a Python file", before.user_laws != law_sources(case)),
+        ("another case", _keys(before.case) != _keys(case.stored_text)),
+    ):
+        if differs:
+            return (
+                f"is of {other}; --restart needs the same, only {growing} and limits in [stop] "
+                "may change"
+            )
     if reached > case.time.end * (1.0 + SAME_TIME):
         return (
             f"holds {reached:g} s, and the case ends at {case.time.end:g} s: must be at least as "
@@ -203,9 +201,9 @@ def _difference(before: Result, case: Case) -> str:
 
 def _is_at_end(case: Case, before: Result) -> bool:
     """Tell whether a stored history has come to the end of a case, or to the same limits."""
-    stopped = "stopped_by" in before.attributes
     same = _keys(before.case, limits=True) == _keys(case.stored_text, limits=True)
-    return before.last_state.time[0] >= case.time.end or (stopped and same)
+    reached = before.last_state.time[0] >= case.time.end
+    return bool(reached) or ("stopped_by" in before.attributes and same)
 
 
 def _keys(text: str, *, limits: bool = False) -> dict[str, Any]:
@@ -236,10 +234,9 @@ class Run:
     ) -> None:
         self._case, self._path, self._output, self._comm = case, path, output, comm
         self._recorder, self._signals = Recorder([case], comm, before), StopSignals()
-        start = self._recorder.first
-        self._progress: Progress | None = None
-        if comm.rank == 0:
-            self._progress = Progress(case.time.end, 0.0 if start is None else float(start.time[0]))
+        self._start = None if before is None else before.last_state
+        begun = 0.0 if self._start is None else float(self._start.time[0])
+        self._progress = Progress(case.time.end, begun, silent=comm.rank > 0)
         #: the signal that the ranks agreed to stop for, or 0
         self._agreed = 0
         #: when the last checkpoint was tried, and whether it was written
@@ -247,27 +244,27 @@ class Run:
 
     def compute(self) -> None:
         """Step to the end or to a signal, write it, and print what came of it. Collective."""
-        output, recorder, first = self._output, self._recorder, self._comm.rank == 0
-        if (start := recorder.first) is not None and first:
+        output, start, first = self._output, self._start, self._comm.rank == 0
+        if start is not None and first:
             log.info("continuing %s after step %d (%g s)", output, start.steps[0], start.time[0])
         with ExitStack() as cleanup:
             cleanup.push(self._signals)  # which take over with the first state
             try:
-                with closing(self._progress) if self._progress is not None else nullcontext():
+                with closing(self._progress):
                     simulate_one(self._case, self._comm, self, first=start, every=True)
             except RingwearError as error:
                 self._fail(error)
             result = self._save()
+            is_complete = result.attributes["status"] == "complete"
             if first:
                 file, page = (shlex.quote(str(p)) for p in (output, output.with_suffix(".html")))
                 report = f"ringwear report {file} -o {page}"
-                after = report if recorder.finished else "the same command with --restart"
+                after = report if is_complete else "the same command with --restart"
                 written = f"{output} ({counted(len(result.step), 'state')})"
-                print(
-                    result.summary(), *labelled([("written", written), ("next", after)]), sep="\n"
-                )
+                lines = labelled([("written", written), ("next", after)])
+                print(result.summary(), *lines, sep="\n")
             with together(self._comm):
-                if not recorder.finished:
+                if not is_complete:
                     raise ComputationError(
                         f"stopped by {name_of(self._agreed)} after step {result.step[-1]} (at "
                         f"{result.data['time'][-1]:g} of {self._case.time.end:g} s); {output} "
@@ -280,11 +277,10 @@ class Run:
             self._signals.__enter__()
         self._recorder(instant)
         state = instant.state
-        if self._progress is not None:
-            self._progress.show(
-                float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
-                state.steps[0], state.time[0], self._case.time.end, state.approach[0],
-            )  # fmt: skip
+        self._progress.show(
+            float(state.time[0]), "step %d, time %.6g of %.6g s, approach %.6f mm",
+            state.steps[0], state.time[0], self._case.time.end, state.approach[0],
+        )  # fmt: skip
         if not state.steps[0]:
             return False
         due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS

@@ -95,8 +95,8 @@ def _height(case: Case) -> float:
 
 def _never_touches(case: Case) -> bool:
     """Tell whether a displacement ends before the faces meet."""
-    displacement = case.load.displacement
-    return displacement is not None and largest(displacement) <= case.smallest_gaps[0]
+    way = case.load.displacement
+    return way is not None and largest(way) <= case.smallest_gaps[0]
 
 
 def _is_apart(case: Case) -> bool:

@@ -60,18 +60,6 @@ def test_they_are_as_defined(case):
     assert "1e-05 mm3/(N m)" in result.summary()
 
 
-def test_friction_may_be_a_table(case):
-    """The work of the load is that of the history, not that of a mean friction."""
-    changed = case.replace({"contact.friction": [[0.0, 0.1], [40.0, 0.3]], "output.times": None})
-    result = rw.simulate(changed, MPI.COMM_SELF)
-    rates = result.to_xarray().specific_wear_rate_lower.values
-    ends = {number.name: number.value for number in key_numbers(result)}
-    assert rates[-1] == pytest.approx(ends["lower_specific_rate"], rel=1e-12)
-    energy = result.histories["dissipated_energy"][-1]
-    work = float(result.histories["normal_work"][-1])
-    assert energy / work == pytest.approx(0.29, abs=0.02)
-
-
 def test_sweeps_have_those_of_runs(case, tmp_path):
     """In results.h5, cases.csv and exported tables; one of the cases knows no density."""
     study = {

@@ -56,21 +56,6 @@ def test_variables_of_layers_are_those_of_the_contract(result, tmp_path):
     assert np.isnan(data.attrs["time_through_upper"])
 
 
-def test_a_body_with_layers_alone(tmp_path):
-    one = rw.simulate(rw.read_case(CASE, {**SMALL, "output.profiles": "last"}), MPI.COMM_SELF)
-    assert one.layers["layer_left_lower"].shape == (16,)
-    assert one.layers["worn_volume_lower_layers"].shape == (10, 2)
-    one.save(tmp_path / "run.h5")
-    assert rw.open_result(tmp_path / "run.h5").to_xarray().equals(one.to_xarray())
-
-
-def test_key_numbers_say_how_much_of_a_layer_is_gone(result):
-    numbers = {number.name: number.value for number in key_numbers(result)}
-    share = 100.0 * result.layers["share_through_lower"][-1]
-    assert numbers["lower_share_through"] == pytest.approx(share)
-    assert numbers["lower_time_through"] == result.attributes["time_through_lower"]
-
-
 def test_the_mass_lost_is_that_of_each_layer(case, result):
     """What is not worn needs no density; where one is missing that is needed, there is no mass."""
     volumes = {b: result.layers[f"worn_volume_{b}_layers"][-1] for b in ("lower", "upper")}

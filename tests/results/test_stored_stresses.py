@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parts import COMPONENTS, SIDES, max_shear, mises, principal
+from parts import COMPONENTS, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
@@ -45,14 +45,6 @@ def layered(comm):
 @pytest.fixture(params=["plain", "layered"])
 def result(request):
     return request.getfixturevalue(request.param)
-
-
-def test_saved_and_opened_they_are_the_same(result, tmp_path):
-    result.save(tmp_path / "run.h5")
-    stored = rw.open_result(tmp_path / "run.h5")
-    assert stored.to_xarray().equals(result.to_xarray())
-    for name, values in result.stress.items():
-        np.testing.assert_equal(stored.stress[name], values)
 
 
 def test_variables(plain):
@@ -116,19 +108,6 @@ def test_force_and_torque_go_through_every_interface(layered):
             assert -(stress[:, 2] @ area) == pytest.approx(force, rel=2e-3)
             assert stress[:, 5] @ (area * line) == pytest.approx(torque, rel=2e-3)
             assert abs(stress[:, 3] @ area) < force
-
-
-def test_points_on_a_side_have_the_same(layered, comm):
-    points, expected = [], []
-    for body in ("lower", "upper"):
-        r, z, stress = (layered.stress[f"interface_{of}_{body}"] for of in ("r", "z", "stress"))
-        for number, height in enumerate(z):
-            for k in (3, len(r) // 2):
-                for side, word in enumerate(SIDES):
-                    points.append([r[k], height, word])
-                    expected.append(stress[-1, number, side, k])
-    found = rw.simulate(both_bodies(stress__points=points), comm).stress["stress"][-1]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_geometry_that_follows_the_wear(plain):
@@ -266,20 +245,11 @@ def test_exports(plain, layered, tmp_path):
     assert np.ptp(corners[..., 0], axis=1) == pytest.approx(0.5)
     assert np.ptp(corners[..., 2], axis=1) == pytest.approx(1.0 / 3.0)
     openpyxl = pytest.importorskip("openpyxl")
-
-    def sheet(result, name):
-        export(result, tmp_path / "a.xlsx")
-        page = openpyxl.load_workbook(tmp_path / "a.xlsx")[name]
-        header, *rows = page.iter_rows(values_only=True)
-        return rows, dict(zip(header, rows[-1], strict=True))
-
-    rows, last = sheet(plain, "stress at points")
-    assert len(rows) == 7 * 3
-    assert [last[f"stress[{name}] (MPa)"] for name in COMPONENTS] == pytest.approx(
-        plain.stress["stress"][-1, -1]
-    )
+    export(layered, tmp_path / "a.xlsx")
+    book = openpyxl.load_workbook(tmp_path / "a.xlsx")
     for name in ("lower", "upper"):
-        rows, last = sheet(layered, f"interfaces of {name}")
+        header, *rows = book[f"interfaces of {name}"].iter_rows(values_only=True)
+        last = dict(zip(header, rows[-1], strict=True))
         stress = layered.stress[f"interface_stress_{name}"][-1]
         assert len(rows) == 3 * stress[..., 0].size
         assert last["side"] == "below"

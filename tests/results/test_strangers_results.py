@@ -3,7 +3,6 @@
 import json
 
 import h5py
-import numpy as np
 import pytest
 from parts import main
 from paths import PAPER
@@ -37,23 +36,14 @@ def test_a_law_that_only_a_result_file_names_is_not_run(run, tmp_path):
     assert not marker.exists()
 
 
-def test_no_flipped_bit_gives_other_numbers(run):
-    def numbers():
-        result = rw.open_result(run)
-        return {**result.histories, **result.profiles}
-
-    contents, exact, refused = run.read_bytes(), numbers(), 0
-    for place in range(0, len(contents), 397):
-        changed = bytearray(contents)
-        changed[place] ^= 1 << place % 8
-        run.write_bytes(changed)
-        try:
-            found = numbers()
-        except rw.InputError:
-            refused += 1
-            continue
-        assert all(np.array_equal(found[name], values) for name, values in exact.items())
-    assert refused > 5
+def test_a_flipped_bit_is_found(run):
+    with h5py.File(run) as file:
+        place = file["pressure"].id.get_chunk_info(0).byte_offset
+    contents = bytearray(run.read_bytes())
+    contents[place + 5] ^= 1
+    run.write_bytes(contents)
+    with pytest.raises(rw.InputError, match="damaged"):
+        rw.open_result(run)
 
 
 @pytest.mark.parametrize("how", ["cut", "text", "attribute", "variable"])
@@ -66,12 +56,3 @@ def test_what_is_no_result_file_is_refused(run, how):
             del place[name]
     with pytest.raises(rw.InputError, match="is not a result file"):
         rw.open_result(run)
-
-
-@pytest.mark.parametrize("title", ["costs $x_$", "a\nb", "\x1b[2J"])
-def test_any_title_is_drawn_and_printed(run, title, tmp_path):
-    with h5py.File(run, "r+") as file:
-        file.attrs["title"] = title
-    result = rw.open_result(run)
-    assert all(line.isprintable() for line in result.summary().splitlines())
-    rw.plot([result], "penetration").savefig(tmp_path / "a.png")
