@@ -227,7 +227,9 @@ def read_ensemble(folder: Path) -> Ensemble:
             "was interrupted"
         )
     with reading(path, SOFTWARE, FILE_KIND) as file:
-        texts = [tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")]
+        ids, status, error, flags = (
+            tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")
+        )
         varied, units, spacings = {}, {}, {}
         for name in file.attrs["coordinates"].split():
             key, about = file[name], file[name].attrs
@@ -240,10 +242,10 @@ def read_ensemble(folder: Path) -> Ensemble:
             if variable.name in file:
                 final |= columns_of(name, file[variable.name][:])
             elif name in MAIN_END_VALUES:  # no case has an end
-                final[name] = np.full(len(texts[0]), np.nan)
+                final[name] = np.full(len(ids), np.nan)
         return Ensemble(
-            path, *texts, file["seconds"][:], file["steps_stored"][:], varied, units, final,
-            dict(file.attrs), spacings,
+            path, ids, status, error, flags, file["seconds"][:], file["steps_stored"][:], varied,
+            units, final, dict(file.attrs), spacings,
         )  # fmt: skip
 
 

@@ -71,18 +71,13 @@ class Study:
         return len(next(iter(self.columns.values())))
 
     def __repr__(self) -> str:
-        varied = ", ".join(self.names)
+        varied = ", ".join(self.columns)
         return f"<Study {self.name}: {self.method}, cases: {len(self)}, varied: {varied}>"
 
     def _repr_html_(self) -> str:
         """Return its varied keys and the rig of its first case, for notebooks."""
         # pages stand on studies, which know nothing else of them
         return str(import_module("ringwear_par.reports.notebook").study_html(self))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The varied keys."""
-        return tuple(self.columns)
 
     def units(self) -> dict[str, str]:
         """Return the units of the varied keys under the laws of the cases, "" for none."""
@@ -92,7 +87,7 @@ class Study:
             varied = dict.fromkeys(self.columns[key].tolist()) if key in self.columns else [base]
             return [base if law is None else law for law in varied]
 
-        return {name: unit_under(name, laws) for name in self.names}
+        return {name: unit_under(name, laws) for name in self.columns}
 
     def stored(self, name: str) -> Any:
         """Return the values of a key as results have them: numbers or bytes."""
@@ -108,7 +103,7 @@ class Study:
 
     def keys(self, row: Sequence[Any]) -> dict[str, Any]:
         """Return the dotted keys and raw values of a case with a row of values."""
-        return varied_keys(self.base, self.names, row)
+        return varied_keys(self.base, self.columns, row)
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""
@@ -166,7 +161,7 @@ class Study:
     @cached_property
     def _numbers(self) -> dict[Number, FloatArray]:
         """Columns of numbers: cases that differ in them only are copies of each other."""
-        paths = {*self.base, *(split_key(name)[0] for name in self.names)}
+        paths = {*self.base, *(split_key(name)[0] for name in self.columns)}
         numbers: dict[Number, FloatArray] = {}
         for name, column in self._numeric.items():
             path, entry = split_key(name)
@@ -210,7 +205,7 @@ class Study:
         what varies, its values, and the text of laws that are files.
         """
         base = {path: raw for path, raw in self.base.items() if path != "title"}
-        common = hashlib.sha256(_json(_content(base), self.names))
+        common = hashlib.sha256(_json(_content(base), tuple(self.columns)))
         columns = [
             mapped(column[numbers], partial(_content, path=split_key(name)[0]))
             for name, column in self.columns.items()

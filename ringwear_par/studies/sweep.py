@@ -183,22 +183,17 @@ def _complete(work: _Work, say: Callable[[Summary], None] | None = None) -> Summ
         sentence = f"{str(end) or 'Ctrl-C'}; {there_are}, and the same command goes on"
         if isinstance(end, KeyboardInterrupt):
             raise KeyboardInterrupt(sentence) from None
-        raise _of_all_ranks(work, sentence) from end
+        with together(work.comm):
+            raise ComputationError(sentence) from end
     seconds = time.perf_counter() - started
     summary = on_first_rank(work.comm, lambda: _summary(work, computed, seconds))
     if say is not None:
         say(summary)
     if summary.failed:
         counts = f"{summary.failed} of {summary.total} cases failed"
-        raise _of_all_ranks(work, f"{counts}; {work.folder / TABLE} says why of each")
+        with together(work.comm):
+            raise ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
     return summary
-
-
-def _of_all_ranks(work: _Work, sentence: str) -> ComputationError:
-    """Return an error that all ranks raise."""
-    error = ComputationError(sentence)
-    error.ranks = work.comm.size
-    return error
 
 
 def _compute(work: _Work) -> int:
