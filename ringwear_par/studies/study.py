@@ -38,7 +38,7 @@ from ringwear_par.studies.variations import (
 )
 from ringwear_par.version import __version__
 
-#: values of a key that are checked one by one; of more the least and the largest
+#: values of a key that are checked one by one, beside the last
 _MOST_VALUES = 20
 #: bad cases at the beginning of a design, after which no good one is looked for
 _MOST_BAD = 100
@@ -204,8 +204,12 @@ class Study:
         An id is that of the content of a case, however its numbers are written: of the base case,
         what varies, its values, and the text of laws that are files.
         """
+
+        def json_of(*content: Any) -> bytes:
+            return json.dumps(content, default=repr).encode()
+
         base = {path: raw for path, raw in self.base.items() if path != "title"}
-        common = hashlib.sha256(_json(_content(base), tuple(self.columns)))
+        common = hashlib.sha256(json_of(_content(base), tuple(self.columns)))
         columns = [
             mapped(column[numbers], partial(_content, path=split_key(name)[0]))
             for name, column in self.columns.items()
@@ -213,7 +217,7 @@ class Study:
         ids = []
         for row in zip(*columns, strict=True):
             content = common.copy()
-            content.update(_json(*row))
+            content.update(json_of(*row))
             ids.append(content.hexdigest()[:16])
         return np.array(ids, dtype="S16")
 
@@ -229,10 +233,6 @@ def _distinct(column: NDArray[Any]) -> tuple[IntArray, IntArray]:
         codes = {text: code for code, text in enumerate(dict.fromkeys(texts))}
         column = np.array([codes[text] for text in texts])
     return np.unique(column, return_index=True, return_inverse=True)[1:]
-
-
-def _json(*content: Any) -> bytes:
-    return json.dumps(content, default=repr).encode()
 
 
 def _content(raw: Any, path: str = "") -> Any:
@@ -282,7 +282,8 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
 def _check(study: Study, ranks: int) -> None:
     """Refuse a study whose base is bad, or a value of a key whatever the others are.
 
-    A value is bad if it is with those of the first case, and in the last case that has it.
+    A value is bad if it is with those of the first case, and in the last case that has it. The
+    first values of each key are looked at, or the least numbers, and the last.
     """
     case, row = study.case(study.first), study.row(study.first)
     check_memory(case, ranks, study.name)
@@ -290,12 +291,9 @@ def _check(study: Study, ranks: int) -> None:
     faults: list[Fault] = []
     for i, column in enumerate(study.columns.values()):
         first, codes = _distinct(column)
-        ends = [*range(len(first))]
-        if column.dtype != object and len(ends) > _MOST_VALUES:  # the least and the largest number
-            ends = ends[:: len(ends) - 1]
-        for end in ends[:_MOST_VALUES]:
-            number, last = int(first[end]), int(np.flatnonzero(codes == end)[-1])
-            keys = study.keys([*row[:i], study.row(number)[i], *row[i + 1 :]])
+        for code in {*range(min(len(first), _MOST_VALUES)), len(first) - 1}:
+            number, last = int(first[code]), int(np.flatnonzero(codes == code)[-1])
+            keys = study.keys([*row[:i], column.item(number), *row[i + 1 :]])
             try:
                 make_case(keys, f"{study.name}: case {number + 1}", "")
             except InputError as error:

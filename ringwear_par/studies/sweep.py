@@ -131,28 +131,22 @@ def _prepared(
                 f"of {ranks_per_case}; must be one of {sizes}"
             )
         study = source if isinstance(source, Study) else read_study(source, ranks_per_case)
-        blocks = blocks_of(study, folder)
-        _prepare_folder(folder, blocks, retry)
+        blocks, results = blocks_of(study, folder), folder / RESULTS
+        merged = is_merged(folder, blocks)
+        if not merged:
+            check_folder(folder, (RESULTS, TABLE), "sweep")
+            stored = [*folder.glob(f"{FOLDER}/*.h5")]
+            if results.exists() or (stored and not there(blocks)):
+                raise InputError(f"{folder}: holds cases of another study; must be a new folder")
+        for block in (block for block in blocks if retry and _has_failed(block)):
+            block.path.unlink()
+            results.unlink(missing_ok=True)
+        if not merged or not results.exists():
+            (folder / FOLDER).mkdir(parents=True, exist_ok=True)
         warn_of_threads(comm.size)
         return study, blocks
 
     return _Work(*on_first_rank(comm, read), folder, comm, ranks_per_case)
-
-
-def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
-    """Make the folder, or look that it is of this study; remove what is to be computed again."""
-    results, merged = folder / RESULTS, is_merged(folder, blocks)
-    if not merged:
-        check_folder(folder, (RESULTS, TABLE), "sweep")
-        stored = {results} if results.exists() else {*(folder / FOLDER).glob("*.h5")}
-        if stored and stored.isdisjoint(block.path for block in blocks):
-            raise InputError(f"{folder}: holds cases of another study; must be a new folder")
-    for path in (block.path for block in blocks if retry and _has_failed(block)):
-        path.unlink()
-        results.unlink(missing_ok=True)
-        merged = False
-    if not merged:
-        (folder / FOLDER).mkdir(parents=True, exist_ok=True)
 
 
 def _has_failed(block: Block) -> bool:

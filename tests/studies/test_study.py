@@ -104,16 +104,6 @@ def test_list_from_a_table(write, tmp_path):
     assert len(set(study.shapes)) == 2
 
 
-def test_schemes_vary_and_each_has_the_keys_that_it_knows(write):
-    """A base case says the tolerance of the adaptive ones and the step of the others."""
-    adaptive = CASE.replace('"implicit"', '"adaptive"') + "tolerance = 1e-5\n"
-    text = '[vary]\n"time.scheme" = { values = ["implicit", "adaptive"] }\n'
-    study = read_study(write(text, adaptive))
-    assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
-    assert study.case(1).time.tolerance == 1e-5
-    assert "time.tolerance" not in study.keys(study.row(0))
-
-
 def test_ids_follow_content(write):
     """Neither the title nor how numbers are written."""
     vary = '[vary]\n"load.pressure" = { values = [%s] }\n'
