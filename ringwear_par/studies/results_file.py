@@ -221,7 +221,7 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
             first = some.stop
         file.attrs.update(
             software=SOFTWARE, study=study.text, case=toml_text(study.base), method=study.method,
-            coordinates=" ".join(study.names), status="complete", ranks=ranks,
+            coordinates=" ".join(study.columns), status="complete", ranks=ranks,
             blocks=fingerprint(blocks), **versions(),
         )  # fmt: skip
 
@@ -235,7 +235,7 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
                 yield part
 
     order = np.concatenate([block.numbers for block in blocks])
-    keys = {name: study.stored(name)[order] for name in study.names}
+    keys = {name: study.stored(name)[order] for name in study.columns}
     layout = _layout(chain(contents(), [keys]))
     variables = {name: _variable(name, 1 + len(layout[name][0])) for name in layout.keys() - keys}
     for name, unit in study.units().items():

@@ -40,7 +40,7 @@ from ringwear_par.version import __version__
 
 #: values of a varied key that notebooks list
 _LISTED = 8
-#: values of a key that are checked one by one; of more the least and the largest
+#: values of a key that are checked one by one, beside the last
 _MOST_VALUES = 20
 #: bad cases at the beginning of a design, after which no good one is looked for
 _MOST_BAD = 100
@@ -73,7 +73,7 @@ class Study:
         return len(next(iter(self.columns.values())))
 
     def __repr__(self) -> str:
-        varied = ", ".join(self.names)
+        varied = ", ".join(self.columns)
         return f"<Study {self.name}: {self.method}, cases: {len(self)}, varied: {varied}>"
 
     def _repr_html_(self) -> str:
@@ -86,11 +86,6 @@ class Study:
         table += "</table>"
         return f"<div><pre>{escape(repr(self))}</pre>{table}{self.case(0)._repr_html_()}</div>"
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The varied keys."""
-        return tuple(self.columns)
-
     def units(self) -> dict[str, str]:
         """Return the units of the varied keys under the laws of the cases, "" for none."""
 
@@ -99,7 +94,7 @@ class Study:
             varied = dict.fromkeys(self.columns[key].tolist()) if key in self.columns else [base]
             return [base if law is None else law for law in varied]
 
-        return {name: unit_under(name, laws) for name in self.names}
+        return {name: unit_under(name, laws) for name in self.columns}
 
     def stored(self, name: str) -> Any:
         """Return the values of a key as results have them: numbers or bytes."""
@@ -115,7 +110,7 @@ class Study:
 
     def keys(self, row: Sequence[Any]) -> dict[str, Any]:
         """Return the dotted keys and raw values of a case with a row of values."""
-        return varied_keys(self.base, self.names, row)
+        return varied_keys(self.base, self.columns, row)
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""
@@ -173,7 +168,7 @@ class Study:
     @cached_property
     def _numbers(self) -> dict[Number, FloatArray]:
         """Columns of numbers: cases that differ in them only are copies of each other."""
-        paths = {*self.base, *(split_key(name)[0] for name in self.names)}
+        paths = {*self.base, *(split_key(name)[0] for name in self.columns)}
         numbers: dict[Number, FloatArray] = {}
         for name, column in self._numeric.items():
             path, entry = split_key(name)
@@ -216,8 +211,12 @@ class Study:
         An id is that of the content of a case, however its numbers are written: of the base case,
         what varies, its values, and the text of laws that are files.
         """
+
+        def json_of(*content: Any) -> bytes:
+            return json.dumps(content, default=repr).encode()
+
         base = {path: raw for path, raw in self.base.items() if path != "title"}
-        common = hashlib.sha256(_json(_content(base), self.names))
+        common = hashlib.sha256(json_of(_content(base), tuple(self.columns)))
         columns = [
             mapped(column[numbers], partial(_content, path=split_key(name)[0]))
             for name, column in self.columns.items()
@@ -225,7 +224,7 @@ class Study:
         ids = []
         for row in zip(*columns, strict=True):
             content = common.copy()
-            content.update(_json(*row))
+            content.update(json_of(*row))
             ids.append(content.hexdigest()[:16])
         return np.array(ids, dtype="S16")
 
@@ -241,10 +240,6 @@ def _distinct(column: NDArray[Any]) -> tuple[IntArray, IntArray]:
         codes = {text: code for code, text in enumerate(dict.fromkeys(texts))}
         column = np.array([codes[text] for text in texts])
     return np.unique(column, return_index=True, return_inverse=True)[1:]
-
-
-def _json(*content: Any) -> bytes:
-    return json.dumps(content, default=repr).encode()
 
 
 def _content(raw: Any, path: str = "") -> Any:
@@ -294,7 +289,8 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
 def _check(study: Study, ranks: int) -> None:
     """Refuse a study whose base is bad, or a value of a key whatever the others are.
 
-    A value is bad if it is with those of the first case, and in the last case that has it.
+    A value is bad if it is with those of the first case, and in the last case that has it. The
+    first values of each key are looked at, or the least numbers, and the last.
     """
     case, row = study.case(study.first), study.row(study.first)
     check_memory(case, ranks, study.name)
@@ -302,12 +298,9 @@ def _check(study: Study, ranks: int) -> None:
     faults: list[Fault] = []
     for i, column in enumerate(study.columns.values()):
         first, codes = _distinct(column)
-        ends = [*range(len(first))]
-        if column.dtype != object and len(ends) > _MOST_VALUES:  # the least and the largest number
-            ends = ends[:: len(ends) - 1]
-        for end in ends[:_MOST_VALUES]:
-            number, last = int(first[end]), int(np.flatnonzero(codes == end)[-1])
-            keys = study.keys([*row[:i], study.row(number)[i], *row[i + 1 :]])
+        for code in {*range(min(len(first), _MOST_VALUES)), len(first) - 1}:
+            number, last = int(first[code]), int(np.flatnonzero(codes == code)[-1])
+            keys = study.keys([*row[:i], column.item(number), *row[i + 1 :]])
             try:
                 make_case(keys, f"{study.name}: case {number + 1}", "")
             except InputError as error:

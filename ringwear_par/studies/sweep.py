@@ -131,28 +131,22 @@ def _prepared(
                 f"of {ranks_per_case}; must be one of {sizes}"
             )
         study = source if isinstance(source, Study) else read_study(source, ranks_per_case)
-        blocks = blocks_of(study, folder)
-        _prepare_folder(folder, blocks, retry)
+        blocks, results = blocks_of(study, folder), folder / RESULTS
+        merged = is_merged(folder, blocks)
+        if not merged:
+            check_folder(folder, (RESULTS, TABLE), "sweep")
+            stored = [*folder.glob(f"{FOLDER}/*.h5")]
+            if results.exists() or (stored and not there(blocks)):
+                raise InputError(f"{folder}: holds cases of another study; must be a new folder")
+        for block in (block for block in blocks if retry and _has_failed(block)):
+            block.path.unlink()
+            results.unlink(missing_ok=True)
+        if not merged or not results.exists():
+            (folder / FOLDER).mkdir(parents=True, exist_ok=True)
         warn_of_threads(comm.size)
         return study, blocks
 
     return _Work(*on_first_rank(comm, read), folder, comm, ranks_per_case)
-
-
-def _prepare_folder(folder: Path, blocks: Sequence[Block], retry: bool) -> None:
-    """Make the folder, or look that it is of this study; remove what is to be computed again."""
-    results, merged = folder / RESULTS, is_merged(folder, blocks)
-    if not merged:
-        check_folder(folder, (RESULTS, TABLE), "sweep")
-        stored = {results} if results.exists() else {*(folder / FOLDER).glob("*.h5")}
-        if stored and stored.isdisjoint(block.path for block in blocks):
-            raise InputError(f"{folder}: holds cases of another study; must be a new folder")
-    for path in (block.path for block in blocks if retry and _has_failed(block)):
-        path.unlink()
-        results.unlink(missing_ok=True)
-        merged = False
-    if not merged:
-        (folder / FOLDER).mkdir(parents=True, exist_ok=True)
 
 
 def _has_failed(block: Block) -> bool:
@@ -183,22 +177,17 @@ def _complete(work: _Work, say: Callable[[Summary], None] | None = None) -> Summ
         sentence = f"{str(end) or 'Ctrl-C'}; {there_are}, and the same command goes on"
         if isinstance(end, KeyboardInterrupt):
             raise KeyboardInterrupt(sentence) from None
-        raise _of_all_ranks(work, sentence) from end
+        with together(work.comm):
+            raise ComputationError(sentence) from end
     seconds = time.perf_counter() - started
     summary = on_first_rank(work.comm, lambda: _summary(work, computed, seconds))
     if say is not None:
         say(summary)
     if summary.failed:
         counts = f"{summary.failed} of {summary.total} cases failed"
-        raise _of_all_ranks(work, f"{counts}; {work.folder / TABLE} says why of each")
+        with together(work.comm):
+            raise ComputationError(f"{counts}; {work.folder / TABLE} says why of each")
     return summary
-
-
-def _of_all_ranks(work: _Work, sentence: str) -> ComputationError:
-    """Return an error that all ranks raise."""
-    error = ComputationError(sentence)
-    error.ranks = work.comm.size
-    return error
 
 
 def _compute(work: _Work) -> int:

@@ -248,22 +248,19 @@ def _read_variations(
 
 def _variation(key: str, entry: Any, in_grid: bool, folder: Path) -> Variation:
     """Return a varied key; RejectedError where its entry breaks the rule, perhaps with why."""
-    table = dict(entry) if isinstance(entry, Mapping) else {}
-    count = table.pop("count", None)
-    spacing, values = table.popitem() if len(table) == 1 else ("", None)
-    if spacing not in ("values", "linear", "log") or not isinstance(values, list) or not values:
-        raise RejectedError
-    counted = is_whole(count) and 2 <= count <= MOST_CASES
-    if not (counted if in_grid and spacing != "values" else count is None):
-        raise RejectedError
-    if spacing == "values":
-        return Variation(key, spacing, tuple(_in_full(key, folder, value) for value in values), 0)
-    ends = [without_units(key, value) for value in values]
-    if len(ends) != 2 or not all(map(is_finite, ends)) or not ends[0] < ends[1]:
-        raise RejectedError
-    if spacing == "log" and ends[0] <= 0:
-        raise RejectedError
-    return Variation(key, spacing, tuple(map(float, ends)), count or 0)
+    match entry:
+        case {"values": [_, *_] as values, **more} if not more:
+            complete = tuple(_in_full(key, folder, value) for value in values)
+            return Variation(key, "values", complete, 0)
+        case {"linear": [_, _] as ends, **more} | {"log": [_, _] as ends, **more}:
+            low, high = (without_units(key, end) for end in ends)
+            is_log, count = "log" in entry, entry.get("count")
+            counted = is_whole(count) and 2 <= count <= MOST_CASES if in_grid else count is None
+            finite = is_finite(low) and is_finite(high) and low < high
+            if finite and (low > 0 or not is_log) and counted and more.keys() <= {"count"}:
+                spacing = "log" if is_log else "linear"
+                return Variation(key, spacing, (float(low), float(high)), count or 0)
+    raise RejectedError
 
 
 def _in_full(name: str, folder: Path, value: Any) -> Any:

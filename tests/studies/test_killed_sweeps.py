@@ -106,15 +106,6 @@ def test_a_damaged_block_is_computed_anew(tmp_path, swept, comm, caplog, damage)
     assert_same_sweeps(output, reference)
 
 
-def test_locks_that_killed_processes_left_keep_nobody_out(tmp_path, swept, comm):
-    study, reference, unmerged = swept
-    output = shutil.copytree(unmerged, tmp_path / "out")
-    for path in (output / "blocks").glob("*.h5"):
-        path.rename(path.with_suffix(".lock"))
-    assert rw.sweep(study, output, comm).computed == 6
-    assert_same_sweeps(output, reference)
-
-
 def test_a_disk_without_locks(tmp_path, swept, comm, monkeypatch, caplog):
     def flock(*_):
         raise OSError(37, "No locks available")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from agreement import assert_agree
 from mpi4py import MPI
-from parts import parse_case, run_case
+from parts import parse_case
 from swept import CASE
 
 import ringwear_par as rw
@@ -127,18 +127,3 @@ def test_results_are_those_of_single_cases(six_steps, profiles, batch):
     assert results[0].balances["residual"] > 1e-9  # of a block
     assert not results[0].doubts
     assert isinstance(results[2], rw.FailedResult)
-
-
-def test_what_is_stored_goes_on_as_any_run(six_steps, tmp_path):
-    """A result is saved, and a longer run goes on from it."""
-    path, longer = tmp_path / "case.toml", tmp_path / "longer.toml"
-    path.write_text(six_steps.text)
-    longer.write_text(six_steps.replace({"time.steps": 10}).text)
-    (found,) = simulate_all([rw.read_case(path)], ALONE)
-    found.save(tmp_path / "run.h5")
-    assert found.last_state.steps == 6
-    run_case(longer, tmp_path / "run.h5", comm=ALONE, restart=True)
-    whole = rw.simulate(rw.read_case(longer), ALONE)
-    gone_on = rw.open_result(tmp_path / "run.h5")
-    assert gone_on.attributes["status"] == "complete"
-    assert_agree(gone_on, whole)

@@ -20,13 +20,6 @@ GRID = """
 [design]
 method = "grid"
 """
-DRAWN = """
-[vary]
-"wear.lower.k" = { log = [1e-8, 1e-6] }
-"upper.r[1]" = { linear = [30.5, 32.0] }
-mesh.contact_elements = { linear = [8, 16] }
-"upper.grip" = { values = ["clamped", "platen"] }
-"""
 
 
 @pytest.fixture
@@ -47,22 +40,16 @@ def ids(study):
     return study.ids(np.arange(len(study))).tolist()
 
 
-def sampled(write, method, count, seed=1):
-    text = f'{DRAWN}[design]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
-    return read_study(write(text))
-
-
-@pytest.mark.parametrize(
-    ("laws", "unit"),
-    [(["power"], "mm/s"), (["archard"], "1/MPa"), (["archard", "power"], ""),
-     (["archard", "threshold"], "1/MPa")],
-)  # fmt: skip
-def test_the_unit_of_a_wear_coefficient_is_that_of_the_laws_of_the_cases(laws, unit):
-    names = ("wear.lower.k", "load.pressure", "wear.lower.law")
-    columns = map(column_of, ([1e-9] * len(laws), [10.0] * len(laws), laws))
-    columns = dict(zip(names, columns, strict=True))
-    study = Study("", "", "grid", {"wear.lower.law": "table"}, columns)
-    assert study.units() == dict(zip(names, (unit, "MPa", ""), strict=True))
+def test_the_unit_of_a_wear_coefficient_is_that_of_the_laws_of_the_cases():
+    names, expected = (
+        ("wear.lower.k", "wear.lower.law"),
+        {("power",): "mm/s", ("archard",): "1/MPa"},
+    )
+    expected |= {("archard", "power"): "", ("archard", "threshold"): "1/MPa"}
+    for laws, unit in expected.items():
+        columns = dict(zip(names, map(column_of, ([1e-9] * len(laws), laws)), strict=True))
+        study = Study("", "", "grid", {"wear.lower.law": "table"}, columns)
+        assert study.units() == dict(zip(names, (unit, ""), strict=True))
 
 
 def test_grid_is_the_product_in_order(write):
@@ -106,28 +93,6 @@ def test_cases_are_those_of_their_keys(name):
     assert len(set(ids(study))) == len(study)
 
 
-@pytest.mark.parametrize("method", ["sobol", "random"])
-def test_a_longer_design_extends_a_shorter_one(write, method):
-    short, long = sampled(write, method, 7), sampled(write, method, 13)
-    assert rows(long)[:7] == rows(short)
-    assert ids(long)[:7] == ids(short)
-
-
-@pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
-def test_samples_fill_their_ranges(write, method):
-    study = sampled(write, method, 256)
-    k, outer, elements, grip = zip(*rows(study), strict=True)
-    fraction = np.log(np.array(k) / 1e-8) / np.log(100.0)
-    assert 0.0 <= fraction.min() < 0.03
-    assert 0.97 < fraction.max() <= 1.0
-    # the mean of 256 uniform numbers: four standard deviations
-    assert fraction.mean() == pytest.approx(0.5, abs=4.0 / np.sqrt(12.0 * 256.0))
-    assert 30.5 <= min(outer) < max(outer) <= 32.0
-    assert set(elements) <= set(range(8, 17))
-    assert grip.count("platen") == pytest.approx(128, abs=32)
-    assert study.case(0).upper.r == (28.5, outer[0])
-
-
 def test_list_from_a_table(write, tmp_path):
     (tmp_path / "rows.csv").write_text(
         "load.pressure,upper.r,time.scheme\n"
@@ -137,16 +102,6 @@ def test_list_from_a_table(write, tmp_path):
     assert rows(study) == [(50, [28, 32], "implicit"), (60.5, [28.5, 31.5], "explicit")]
     assert study.case(1).time.scheme == "explicit"
     assert len(set(study.shapes)) == 2
-
-
-def test_schemes_vary_and_each_has_the_keys_that_it_knows(write):
-    """A base case says the tolerance of the adaptive ones and the step of the others."""
-    adaptive = CASE.replace('"implicit"', '"adaptive"') + "tolerance = 1e-5\n"
-    text = '[vary]\n"time.scheme" = { values = ["implicit", "adaptive"] }\n'
-    study = read_study(write(text, adaptive))
-    assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
-    assert study.case(1).time.tolerance == 1e-5
-    assert "time.tolerance" not in study.keys(study.row(0))
 
 
 def test_ids_follow_content(write):

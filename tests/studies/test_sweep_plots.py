@@ -15,10 +15,6 @@ from ringwear_par.studies.plot import draw_sweep
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 
 
-def linear(u):
-    return u @ [1.0, 2.0, 3.0]
-
-
 def test_a_surrogate_that_is_not_good_is_not_drawn(tmp_path):
     """Of a response that is noise there is no mean, and no index."""
     u = sample(KEYS, 128)
