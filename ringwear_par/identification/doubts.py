@@ -21,7 +21,7 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
 )
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fitted_tests import FittedTest
+from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
@@ -94,10 +94,10 @@ def of_squares(goodness: Mapping[str, Any]) -> list[Check]:
     return [Check("chi2: probability of one so large", p, IMPROBABLE, doubt is None, doubt)]
 
 
-def of_trends(tests: Sequence[FittedTest]) -> list[Check]:
+def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     """Return what tells whether the residuals of records are noise in time."""
     found = []
-    for one in (one for test in tests for one in test.series):
+    for one in every:
         if not one.series.profile and len(one.misfits):
             # noise that is given is no smaller than that
             least = 0.0 if one.series.sd_fitted else 1.0
@@ -226,10 +226,10 @@ def of_sizes(entries: Entries, process: Entries) -> Iterator[ValidityWarning]:
             yield ValidityWarning("coarse-wear", text, (key,))
 
 
-def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
+def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     """Return doubts about single readings, and about growth that may be drift."""
     outliers, alike = [], []
-    for one in (one for test in tests for one in test.series):
+    for one in every:
         series, residuals = one.series, one.residuals
         far = np.where(one.censored * residuals < 0.0, 0.0, np.abs(residuals))
         out = far[far > _FAR]  # but for limits that hold
