@@ -192,7 +192,6 @@ def parser() -> argparse.ArgumentParser:
         "solves")
     a.fit_file()
     a.flag("--dry-run", "print the intervals to expect if the starts are true; write nothing")
-    a.flag("--overwrite", "replace an outcome that is in DIR without a note")
     a.flag("--compare", "fit the laws of [compare] as well")
     a = command(
         "design", "choose the most informative next tests, from [design] of a fit file",

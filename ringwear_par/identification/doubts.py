@@ -14,14 +14,9 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import (
-    GROWTH_TIME,
-    Experiment,
-    Problem,
-    body_of_wear,
-)
+from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fitted_tests import FittedTest
+from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
@@ -94,10 +89,10 @@ def of_squares(goodness: Mapping[str, Any]) -> list[Check]:
     return [Check("chi2: probability of one so large", p, IMPROBABLE, doubt is None, doubt)]
 
 
-def of_trends(tests: Sequence[FittedTest]) -> list[Check]:
+def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     """Return what tells whether the residuals of records are noise in time."""
     found = []
-    for one in (one for test in tests for one in test.series):
+    for one in every:
         if not one.series.profile and len(one.misfits):
             # noise that is given is no smaller than that
             least = 0.0 if one.series.sd_fitted else 1.0
@@ -136,21 +131,23 @@ def of_tests(
         if spread[-1] >= _NO_CHANCE:
             of, more, spread = "different", ", or another law", heterogeneity(score, a, 0 * equal)
         q, freedom, scatter, p = spread
-        own, doubt = float(np.median(a**-0.5)), None
-        if p < _NO_CHANCE:
-            times, unit = (100.0, " %") if parameter.log else (1.0, unit_of_key(problem, key))
-            text = (
-                f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
-                f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "
-                f'scatter = "fit"{more}'
-            )
-            values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
-            names = tuple(tests[i].name for i in informed)
-            doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
-        name = f"tests agree on {key}: probability"
-        found.append((q, Check(name, p, _NO_CHANCE, doubt is None, doubt)))
+        own, times, unit = float(np.median(a**-0.5)), 1.0, unit_of_key(problem, key)
+        if parameter.log:
+            times, unit = 100.0, " %"
+        text = (
+            f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
+            f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "
+            f'scatter = "fit"{more}'
+        )
+        values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
+        names = tuple(tests[i].name for i in informed)
+        doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
+        found.append((q, key, p, None if p >= _NO_CHANCE else doubt))
+    if not found:
+        return []
     # one that scatters makes the others look as if they did
-    return [max(found, key=lambda one: one[0])[1]] if found else []
+    _, key, p, doubt = max(found, key=lambda one: one[0])
+    return [Check(f"tests agree on {key}: probability", p, _NO_CHANCE, doubt is None, doubt)]
 
 
 def heterogeneity(
@@ -226,10 +223,10 @@ def of_sizes(entries: Entries, process: Entries) -> Iterator[ValidityWarning]:
             yield ValidityWarning("coarse-wear", text, (key,))
 
 
-def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
+def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     """Return doubts about single readings, and about growth that may be drift."""
     outliers, alike = [], []
-    for one in (one for test in tests for one in test.series):
+    for one in every:
         series, residuals = one.series, one.residuals
         far = np.where(one.censored * residuals < 0.0, 0.0, np.abs(residuals))
         out = far[far > _FAR]  # but for limits that hold
@@ -238,8 +235,9 @@ def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
             axis, unit = ("r", "mm") if series.profile else ("time", "s")
             at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
             outliers.append((float(far.max()), one.title + at, one.test))
-        if {"drift", "thermal"} <= {n.kind for n in series.nuisances if n.prior is None}:
-            lengths = float(series.x.max() / np.median(one.nuisances[GROWTH_TIME]))
+        flat = {n.kind for n in series.nuisances if n.prior is None}
+        if (growth := series.growth_time) and {"drift", "thermal"} <= flat:
+            lengths = float(series.x.max() / np.median(one.nuisances[growth.kind]))
             if lengths < _ALIKE:
                 alike.append((-lengths, one.title, one.test))
     far_off = (

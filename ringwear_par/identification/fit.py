@@ -93,26 +93,19 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
 
 
 def into_folder(
-    folder: Path,
-    files: Sequence[str],
-    comm: MPI.Intracomm,
-    compute: Callable[[], Outcome],
-    *,
-    overwrite: bool = False,
+    folder: Path, files: Sequence[str], comm: MPI.Intracomm, compute: Callable[[], Outcome]
 ) -> None:
     """Write the outcome of a fit or a design to a folder, and print its summary. Collective.
 
     Parameters
     ----------
-    files : that it has; the first one, which says that it is whole, is announced where there is one
-        and it may not simply be overwritten.
+    files : that it has, first the one which says that it is whole.
     compute : returns the outcome; collective.
     """
 
     def check() -> None:
         check_folder(folder, files, "fit")
-        if not overwrite:
-            announce_replacement(folder / files[0])
+        announce_replacement(folder / files[0])
 
     on_first_rank(comm, check)
     result = compute()
@@ -128,7 +121,6 @@ def run_fit(
     comm: MPI.Intracomm,
     *,
     dry_run: bool = False,
-    overwrite: bool = False,
     compare: bool = False,
 ) -> None:
     """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective."""
@@ -140,10 +132,7 @@ def run_fit(
         return
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    into_folder(
-        folder, FILES, comm, lambda: fit_problem(problem, comm, compare=compare),
-        overwrite=overwrite,
-    )  # fmt: skip
+    into_folder(folder, FILES, comm, lambda: fit_problem(problem, comm, compare=compare))
     if comm.rank == 0 and problem.alternatives and not compare:
         names = ", ".join(problem.alternatives)
         log.info("laws of [compare] were not fitted: --compare fits %s", names)

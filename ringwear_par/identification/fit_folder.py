@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.draws import Draws, write_draws
-from ringwear_par.identification.fitted_tests import FittedSeries, FittedTest, readings_of_draws
+from ringwear_par.identification.fitted_tests import FittedSeries, readings_of_draws
 from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
@@ -29,18 +29,17 @@ _ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
 def write_readings(
-    path: Path, problem: Problem, tests: Sequence[FittedTest], versions: Mapping[str, str]
+    path: Path, problem: Problem, every: Sequence[FittedSeries], versions: Mapping[str, str]
 ) -> None:
     """Write results.h5: the series of all tests, and their measured inputs. On one rank."""
     bodies = [body_of_wear(key) for key in problem.settings.process]
     with atomic_hdf5(path) as file:
         file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
                            **versions})  # fmt: skip
-        every = [(test, one) for test in tests for one in test.series]
-        for number, (test, one) in enumerate(every, start=1):
+        for number, one in enumerate(every, start=1):
             name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
-            _write_series(file.create_group(name), test, one, bodies)
-        inputs = [(test.experiment, entry) for test in tests for entry in test.experiment.inputs]
+            _write_series(file.create_group(name), one, bodies)
+        inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
         for number, (experiment, measured) in enumerate(inputs, start=1):
             group, unit = file.create_group(f"inputs/{number}"), measured.unit
             group.attrs.update(experiment=experiment.name, key=measured.key, unit=unit)
@@ -56,12 +55,12 @@ def write_readings(
 def write_posterior(
     path: Path,
     draws: Draws,
-    tests: Sequence[FittedTest],
+    every: Sequence[FittedSeries],
     likelihoods: Sequence[EmulatedLikelihood],
     versions: Mapping[str, str],
 ) -> None:
     """Write draws.nc: draws, replicas of the readings by each, and log likelihoods. On one rank."""
-    random, every = np.random.default_rng(0), [one for test in tests for one in test.series]
+    random = np.random.default_rng(0)
     logs, replicas = zip(*(
         readings_of_draws(likelihood, draws.tests[:, i], random)
         for i, likelihood in enumerate(likelihoods)
@@ -78,14 +77,12 @@ def write_posterior(
     write_draws(path, draws, versions, places, readings)
 
 
-def _write_series(
-    group: h5py.Group, test: FittedTest, one: FittedSeries, bodies: Sequence[str]
-) -> None:
+def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
     """Write data, model, band and residuals of a series; ``bodies`` are those of random wear."""
     series = one.series
     group.attrs.update(
         experiment=one.test, series=series.name, quantity=series.quantity,
-        file=series.file, data_unit=series.unit, contact=test.experiment.case.contact,
+        file=series.file, data_unit=series.unit, contact=one.experiment.case.contact,
     )  # fmt: skip
     base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
     columns = [
@@ -114,14 +111,14 @@ def _put(group: h5py.Group, columns: Sequence[tuple[str, FloatArray, str, str]])
         write_variable(group, Variable(name, ("reading",), unit, meaning), values)
 
 
-def figure_of_readings(tests: Sequence[FittedTest], level: float) -> Figure:
+def figure_of_readings(every: Sequence[FittedSeries], level: float) -> Figure:
     """Return the figure of data, model, its band at a level, and residuals.
 
     Series of one reading, such as weighings, share a strip below: a line each.
     """
-    every = [one.drawn(t.experiment.case.contact, level) for t in tests for one in t.series]
-    curves = [series for series in every if len(series.x) > 1]
-    single = [series for series in every if len(series.x) == 1]
+    drawn = [one.drawn(level) for one in every]
+    curves = [series for series in drawn if len(series.x) > 1]
+    single = [series for series in drawn if len(series.x) == 1]
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
     rows: list[list[Panel]] = []
     for first in range(0, len(curves), across):

@@ -19,8 +19,8 @@ from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem, body_of_wear
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
 from ringwear_par.identification.fitted_tests import (
-    FittedTest,
-    fitted_test,
+    FittedSeries,
+    fitted_series,
     scores_and_information,
 )
 from ringwear_par.identification.key_estimates import key_entries, process_entries
@@ -47,8 +47,8 @@ class FitResult(Outcome):
     solution: Solution
     #: of what the fit knows, in the order of chains
     draws: Draws
-    #: at the mode and among the draws
-    tests: tuple[FittedTest, ...]
+    #: of all tests, at the mode and among the draws
+    series: tuple[FittedSeries, ...]
     #: what speaks against taking the numbers as they are
     doubts: tuple[ValidityWarning, ...]
     #: of fit.json
@@ -85,21 +85,22 @@ class FitResult(Outcome):
             folders.ESTIMATES: lambda: fit_folder.figure_of_keys(content, self.draws),
             folders.SPECIMENS: lambda: fit_folder.figure_of_specimens(content),
         }
-        contents: dict[str, Callable[[], bytes | None]]
-        contents = {n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()}
+        contents: dict[str, Callable[[], bytes | None]] = {
+            n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()
+        }
         if not self.problem.scatters:
             contents[folders.SPECIMENS] = lambda: None
         likelihoods = self.solution.posterior.likelihoods
         readings, posterior = folder / folders.READINGS, folder / folders.POSTERIOR
         with folders.new_files(folder, FILES, "fit"):
-            fit_folder.write_readings(readings, self.problem, self.tests, software)
-            fit_folder.write_posterior(posterior, self.draws, self.tests, likelihoods, software)
+            fit_folder.write_readings(readings, self.problem, self.series, software)
+            fit_folder.write_posterior(posterior, self.draws, self.series, likelihoods, software)
             last = {folders.FIT: lambda: folders.json_bytes(content)}
             folders.write_contents(folder, {**contents, **last})
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
-        return fit_folder.figure_of_readings(self.tests, self.content["level"])
+        return fit_folder.figure_of_readings(self.series, self.content["level"])
 
 
 def result_of(solution: Solution) -> FitResult:
@@ -113,10 +114,10 @@ def result_of(solution: Solution) -> FitResult:
     rows = (CHAINS * states + np.arange(CHAINS)[:, None]).ravel()
     some = rows[:: max(1, len(rows) // _BANDS)]
     draws = _draws(solution, rows, material[rows])
-    tests = tuple(
-        fitted_test(likelihood, best[i], x[some, i], solution.depths, random)
-        for i, likelihood in enumerate(posterior.likelihoods)
-    )
+    every, scales = list[FittedSeries](), list[FloatArray]()
+    for i, likelihood in enumerate(posterior.likelihoods):
+        series, drawn = fitted_series(likelihood, best[i], x[some, i], solution.depths, random)
+        every, scales = every + series, scales + drawn
     shares = np.median(posterior.shares(solution.theta, posterior.known), axis=0)
     scores, information = np.stack([
         scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
@@ -124,19 +125,18 @@ def result_of(solution: Solution) -> FitResult:
     ], axis=1)  # fmt: skip
     nuisances = {
         f"{kind} of {one.title}": drawn
-        for test in tests for one in test.series for kind, drawn in one.nuisances.items()
-        if kind != GROWTH_TIME
+        for one in every for kind, drawn in one.nuisances.items() if kind != GROWTH_TIME
     }  # fmt: skip
     own = np.maximum(information, 1e-300) ** -0.5
     parameters = key_entries(solution, material, own, material[some], nuisances)
-    process, squares = process_entries(solution), _goodness(solution, tests)
+    process, squares = process_entries(solution), _goodness(solution, every, x[some])
     checks = [
-        *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(tests),
+        *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
         *doubts.of_tests(problem, parameters, scores, information),
     ]  # fmt: skip
     found = (
         *doubts.of_keys(parameters), *(check.doubt for check in checks if check.doubt is not None),
-        *doubts.of_readings(tests), *doubts.of_sizes(parameters, process),
+        *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
         *doubts.of_units(problem.experiments),
     )  # fmt: skip
     content = {
@@ -149,7 +149,7 @@ def result_of(solution: Solution) -> FitResult:
         "evidence_error": solution.evidence_error,
         "specimens": len({test.groups[0] for test in problem.experiments}),
         "process": process,
-        **_numbers_of_tests(tests),
+        **_numbers_of_tests(every, scales),
         "histories": solution.histories,
         "failed_histories": solution.failed,
         "steps": solution.steps,
@@ -165,7 +165,7 @@ def result_of(solution: Solution) -> FitResult:
         "versions": versions(),
         "data": dict(problem.hashes),
     }  # fmt: skip
-    return FitResult(problem, solution, draws, tests, found, content)
+    return FitResult(problem, solution, draws, tuple(every), found, content)
 
 
 def _draws(solution: Solution, rows: Any, material: FloatArray) -> Draws:
@@ -194,8 +194,8 @@ def _draws(solution: Solution, rows: Any, material: FloatArray) -> Draws:
     )  # fmt: skip
 
 
-def _goodness(solution: Solution, tests: Sequence[FittedTest]) -> dict[str, Any]:
-    """Return what tells how well the model fits.
+def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:
+    """Return what tells how well the model fits, by draws (s, tests, m) of unknowns.
 
     ``chi2`` is the sum of squares at the mode, with those of priors, of all readings but mere
     limits, over the noise and random wear; its freedom is the readings less nuisances without
@@ -206,62 +206,70 @@ def _goodness(solution: Solution, tests: Sequence[FittedTest]) -> dict[str, Any]
     """
     posterior, best = solution.posterior, solution.best[None]
     student = solution.problem.settings.loss == "student"
-    squares = np.concatenate([test.squares for test in tests])
-    freedom = np.concatenate([test.freedom for test in tests])
-    given = np.concatenate([test.given for test in tests])
-    total, p_value, free = squares.sum(axis=0), None, float(freedom[given].sum())
+    points = np.concatenate([posterior.of_tests(best), x])
+    parts: list[tuple[FloatArray, float, bool]] = []
+    for i, emulated in enumerate(posterior.likelihoods):
+        likelihood, series = emulated.likelihood, emulated.likelihood.test.series
+        each = likelihood.least_squares(emulated.emulator(points[:, i]))
+        for row, part, (noise, growth) in zip(
+            each, likelihood.parts, likelihood.noises, strict=True
+        ):
+            given = not any(series[number].sd_fitted for number in part)
+            parts.append((row, noise.freedom - growth.free, given))
+    squares, freedom, known = map(np.array, zip(*parts, strict=True))
+    total, p_value, free = squares.sum(axis=0), None, float(freedom[known].sum())
     if not student and free >= 1.0:
-        p_value = float(chi2.sf(squares[given, 1:].sum(axis=0), free).mean())
+        p_value = float(chi2.sf(squares[known, 1:].sum(axis=0), free).mean())
     raised = max(float(total[1:].mean() - total[0]), 0.0)
     at_mode = float(total[0])
     if student:  # the sd of outliers is larger in the others
-        at_mode = sum(float(np.square(one.misfits).sum()) for t in tests for one in t.series)
+        at_mode = sum(float(np.square(one.misfits).sum()) for one in every)
     shares = posterior.shares(best, posterior.known)
     log_p = float(posterior.of_readings(posterior.of_tests(best), shares)[0])
     return {
-        "chi2": at_mode, "n_data": sum(test.experiment.n for test in tests),
+        "chi2": at_mode, "n_data": sum(one.series.n for one in every),
         "degrees_of_freedom": max(float(freedom.sum()) - raised, 0.0), "p_value": p_value,
         "flagged": p_value is not None and p_value < doubts.IMPROBABLE,
         "aic": 2.0 * posterior.dimension - 2.0 * log_p,
     }  # fmt: skip
 
 
-def _numbers_of_tests(tests: Sequence[FittedTest]) -> dict[str, dict[str, dict[str, Any]]]:
+def _numbers_of_tests(
+    every: Sequence[FittedSeries], scales: Sequence[FloatArray]
+) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the numbers of series, their nuisances and measured inputs, by test.
 
     Nuisances are in the data's unit; that of thermal growth has the ``time`` constant's, s. The
     curve of an input is at ``time``, s; the scatter about it is a relative standard deviation.
     """
     experiments, nuisance, inputs = (dict[str, dict[str, Any]]() for _ in range(3))
-    for test in tests:
-        name, case, scales = test.experiment.name, test.experiment.case, iter(test.scales)
-        of_series = experiments[name] = {}
-        for one in test.series:
-            series, values = one.series, one.misfits
-            entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
-            if len(values) < series.n:
-                entry["censored"] = series.n - len(values)
-            if series.sd_fitted:
-                entry["sd"] = float(one.sd[0]) / series.factor
-            of_series[series.name] = entry
-            found = {kind: _mean_and_sd(draws) for kind, draws in one.nuisances.items()}
-            if GROWTH_TIME in found:
-                found["thermal"]["time"] = found.pop(GROWTH_TIME)
-            for kind in [n.kind for n in series.nuisances if n.power and n.kind in found]:
-                found[kind]["power"] = True
-            if found:
-                nuisance.setdefault(name, {})[series.name] = found
-        for measured in test.experiment.inputs:
-            curve, readings = measured.curve(case), measured.readings(case)
-            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
-            entry = {
-                "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
-                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
-            }  # fmt: skip
-            if measured.scale is not None:
-                mean, sd = measured.scale
-                entry["scale"] = _mean_and_sd(mean + sd * next(scales))
-            inputs.setdefault(name, {})[measured.key] = entry
+    for one in every:
+        series, values = one.series, one.misfits
+        entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
+        if len(values) < series.n:
+            entry["censored"] = series.n - len(values)
+        if series.sd_fitted:
+            entry["sd"] = float(one.sd[0]) / series.factor
+        experiments.setdefault(one.test, {})[series.name] = entry
+        found = {kind: _mean_and_sd(draws) for kind, draws in one.nuisances.items()}
+        if GROWTH_TIME in found:
+            found["thermal"]["time"] = found.pop(GROWTH_TIME)
+        for kind in [n.kind for n in series.nuisances if n.power and n.kind in found]:
+            found[kind]["power"] = True
+        if found:
+            nuisance.setdefault(one.test, {})[series.name] = found
+    left, tests = iter(scales), {one.test: one.experiment for one in every}.values()
+    for test, measured in [(one, measured) for one in tests for measured in one.inputs]:
+        curve, readings = measured.curve(test.case), measured.readings(test.case)
+        off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+        entry = {
+            "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+            "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+        }  # fmt: skip
+        if measured.scale is not None:
+            mean, sd = measured.scale
+            entry["scale"] = _mean_and_sd(mean + sd * next(left))
+        inputs.setdefault(test.name, {})[measured.key] = entry
     return {"experiments": experiments, "nuisance": nuisance, "inputs": inputs}
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
     Experiment,
@@ -22,10 +22,9 @@ _STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class FittedSeries:
-    """A series of a fitted test; arrays (n,) are in the program's units."""
+    """A series as it was fitted; arrays (n,) are in the program's units."""
 
-    #: the name of its test
-    test: str
+    experiment: Experiment
     series: Series
     #: noise: as given, or as fitted
     sd: FloatArray
@@ -44,6 +43,11 @@ class FittedSeries:
     nuisances: dict[str, FloatArray]
 
     @property
+    def test(self) -> str:
+        """The name of its test."""
+        return self.experiment.name
+
+    @property
     def title(self) -> str:
         """Its name, and that of its test."""
         return f"{self.series.name} ({self.test})"
@@ -53,39 +57,24 @@ class FittedSeries:
         """Residuals of its readings that are no limits."""
         return self.residuals[self.censored == 0.0]
 
-    def drawn(self, contact: tuple[float, float], level: float) -> fit_panels.Series:
+    def drawn(self, level: float) -> fit_panels.Series:
         """Return it as figures have it, in the unit of its readings."""
         series, scale = self.series, 1.0 / self.series.factor
         return fit_panels.Series(
             self.test, series.name, series.quantity, series.unit, series.x, scale * series.value,
-            scale * self.model, scale * self.sd, scale * self.band, self.residuals, level, contact,
-            self.censored.astype(int),
+            scale * self.model, scale * self.sd, scale * self.band, self.residuals, level,
+            self.experiment.case.contact, self.censored.astype(int),
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class FittedTest:
-    """A test of a fit."""
-
-    experiment: Experiment
-    series: tuple[FittedSeries, ...]
-    #: draws (s,) of the calibration of each input that has one, in its sd
-    scales: tuple[FloatArray, ...]
-    #: (parts, 1 + s) sums of squares, with random wear and priors', at the mode and at draws
-    squares: FloatArray
-    #: (parts,) their degrees of freedom, and whether the sd of all their readings is given
-    freedom: FloatArray
-    given: BoolArray
-
-
-def fitted_test(
+def fitted_series(
     emulated: EmulatedLikelihood,
     best: FloatArray,
     x: FloatArray,
     depths: FloatArray,
     random: np.random.Generator,
-) -> FittedTest:
-    """Return a test of a fit.
+) -> tuple[list[FittedSeries], list[FloatArray]]:
+    """Return the series of a test, and draws (s,) of its inputs' calibrations, in their sd.
 
     Parameters
     ----------
@@ -94,9 +83,8 @@ def fitted_test(
     depths : (bodies,) mm, see ``Solution``.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    at_best, readings = emulated.emulator(best[None]), emulated.emulator(x)
-    model, excess, _, _ = _with_all(likelihood, at_best)
-    models, worn, values, times = _with_all(likelihood, readings, random)
+    model, excess, _, _ = _with_all(likelihood, emulated.emulator(best[None]))
+    models, worn, values, times = _with_all(likelihood, emulated.emulator(x), random)
     band, excess, excess_sd = models.std(axis=0), excess[0] * depths, worn.std(axis=0) * depths
     fitted = []
     for number, (series, part) in enumerate(records(test.series)):
@@ -109,17 +97,12 @@ def fitted_test(
             nuisances[GROWTH_TIME] = times[number]
         fitted.append(
             FittedSeries(
-                test.name, series, sd, model[0, part], band[part],
+                test, series, sd, model[0, part], band[part],
                 whitened(series, off) if series.censored is None else off, sides(test)[part],
                 excess[part], excess_sd[part], nuisances,
             )
         )  # fmt: skip
-    return FittedTest(
-        test, tuple(fitted), tuple(drawn for (i, _), drawn in values.items() if i < 0),
-        likelihood.least_squares(np.concatenate([at_best, readings])),
-        np.array([noise.freedom - growth.free for noise, growth in likelihood.noises]),
-        np.array([not any(test.series[i].sd_fitted for i in part) for part in likelihood.parts]),
-    )  # fmt: skip
+    return fitted, [drawn for (i, _), drawn in values.items() if i < 0]
 
 
 def _with_all(

@@ -118,7 +118,8 @@ def key_entries(
         bounded = [key for key in others if entries[key]["verdict"] == "at bound"]
         if entry["verdict"] == "identified" and bounded:
             entry["conditional_on"] = bounded
-        entry["told"] = in_users_unit(parameter, entry, problem.experiments[0].case)
+        if told := in_users_unit(parameter, entry, problem.experiments[0].case):
+            entry["told"] = told
         if rate := specific_wear_rate(problem, parameter.key, entries, values):
             entry["specific_wear_rate"] = rate
     return entries

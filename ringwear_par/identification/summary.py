@@ -20,8 +20,8 @@ Interval = Sequence[float | None]
 
 #: headers of the table of laws; cells are "" where there is nothing
 LAWS = ("law", "probability", "AIC above the smallest", "chi2", "parameters", "verdict")
-#: remarks on scatters by their verdicts, at the end of an interval
-_NOTES = {"at bound": ", perhaps none)", "not identified": ", mostly by its prior)"}
+#: remarks on scatters by their verdicts
+_NOTES = {"at bound": ", perhaps none", "not identified": ", mostly by its prior"}
 #: digits of numbers: draws know no more
 _DIGITS = 3
 
@@ -87,8 +87,9 @@ def limits(interval: Interval, digits: int = _DIGITS) -> str:
 
 
 def users_numbers(entry: Entry) -> tuple[Entry, str]:
-    """Return the numbers of a key in the unit that its user writes, and that unit."""
-    numbers, unit = entry["told"], entry["told"]["unit"]
+    """Return the numbers of a key in the unit that its user writes, or the case's, and that."""
+    numbers = entry.get("told") or {**entry, "scale": 1.0}
+    unit = "" if numbers["unit"] in ("1", "-") else str(numbers["unit"])
     return numbers, f"{unit} per {numbers['per']}" if "per" in numbers else unit
 
 
@@ -161,18 +162,19 @@ def _size(entry: Entry, times: float, unit: str) -> str:
     """Return the size of a scatter or of random wear, times a factor, with its interval."""
     if "known" in entry:
         return f"{times * entry['known']:.2g}{unit} (taken as known)"
-    low, high = entry["interval"]
-    ends = "" if low is None else f" ({times * low:.2g} to {times * high:.2g}{unit}"
-    ends += _NOTES.get(entry.get("verdict", ""), ")") if ends else ""
-    return f"{times * entry['estimate']:.2g}{unit}{ends}"
+    size, (low, high) = f"{times * entry['estimate']:.2g}{unit}", entry["interval"]
+    if low is None:
+        return size
+    note = _NOTES.get(entry.get("verdict", ""), "")
+    return f"{size} ({times * low:.2g} to {times * high:.2g}{unit}{note})"
 
 
 def scatter_lines(entry: Entry, level: float) -> list[str]:
     """Return sentences about the scatter of a key, none without."""
     if entry["of"] != "material":
         return []
-    numbers = entry["told"]
-    unit = f" {numbers['unit']}".rstrip()
+    numbers, unit = users_numbers(entry)
+    unit = f" {unit.partition(' per ')[0]}".rstrip()
     times, of_size = (100.0, " %") if "mean" in entry else (1.0 / numbers["scale"], unit)
     sizes = []
     for group, scatter in entry["scatter"].items():

@@ -34,18 +34,18 @@ def _scaled(entry: Entry, scale: float, names: Sequence[str] = _NUMBERS) -> dict
     return {name: converted(entry[name]) for name in names if name in entry}
 
 
-def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any]:
-    """Return the numbers of a key's entry in fit.json in the unit of its start, or the case's.
+def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
+    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
 
-    The ``unit`` is "" for none, ``scale`` how much it is in the case's. For wear coefficients k of
-    laws whose specific wear rate is k mu, ``per`` is "friction energy" in a unit of the user.
+    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
+    coefficients k of laws whose specific wear rate is k mu.
     """
+    if not parameter.unit:
+        return None
     scale, law = unit_scale(parameter), case.laws_by_table.get(parameter.key.rpartition(".")[0])
     of_energy = law is not None and "p0" in law.kind.parameters
-    converts = parameter.unit and of_energy and base_unit(parameter.key) == "1/MPa"
-    unit = parameter.unit or ("" if entry["unit"] in ("1", "-") else entry["unit"])
-    per = {"per": "friction energy"} if converts else {}
-    return {"unit": unit, "scale": scale, **per, **_scaled(entry, scale)}
+    per = {"per": "friction energy"} if of_energy and base_unit(parameter.key) == "1/MPa" else {}
+    return {"unit": parameter.unit, "scale": scale, **per, **_scaled(entry, scale)}
 
 
 def specific_wear_rate(

@@ -151,8 +151,8 @@ class Monitor:
                 "unit": unit, "estimate": median, "interval": (low, high),
                 "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
             }  # fmt: skip
-            entry["told"] = in_users_unit(parameter, entry, problem.experiments[0].case)
-            keys[parameter.key] = entry
+            converted = in_users_unit(parameter, entry, problem.experiments[0].case)
+            keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
         return keys
 
     def _doubts_of(

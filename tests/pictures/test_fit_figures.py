@@ -60,8 +60,7 @@ def test_residuals_are_data_less_model(found):
     check_texts(chart)
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
-    (test,) = found.tests
-    for axes, one in zip(panels, test.series, strict=False):
+    for axes, one in zip(panels, found.series, strict=False):
         expected = (one.series.value - one.model) / one.series.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
         assert drawn == pytest.approx(expected)
@@ -91,8 +90,7 @@ def test_densities_and_pairs_are_those_of_the_draws(found):
 
 def test_long_tests_are_drawn_in_hours(found):
     """As results are; the numbers are those of the file, in s."""
-    (test,) = found.tests
-    series = test.series[0].drawn((28.5, 31.5), 0.95)
+    series = found.series[0].drawn(0.95)
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, label in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
