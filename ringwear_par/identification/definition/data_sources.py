@@ -31,7 +31,7 @@ from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem, Series
-from ringwear_par.identification.definition.schema import SD
+from ringwear_par.identification.definition.schema import read_all
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
@@ -235,16 +235,15 @@ def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tupl
     elif named:
         return _sd_column(reader, str(entry), readings), False
     elif isinstance(entry, Mapping):
-        relative = TableReader(f"{reader.place}: sd", entry, [], SD).read("relative")
+        place = f"{reader.place}: sd"
+        _, (relative,) = read_all("experiment.data.sd", place, entry, reader.faults)
         smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)) or 1, mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
-        if relative is None or set(entry) != {"relative"}:
-            reader.wrong("sd", "must be { relative = x }, a number > 0")
-        elif small.any():
+        if relative is not None and small.any():
             line = lines_of(series)[int(small.argmax())]
             rule = "must be in the data's unit where readings are near zero, as here"
             reader.wrong("sd", f"{line}{rule}")
-        else:
+        elif relative is not None:
             return relative * smooth, False
     else:
         single = reader.read("sd", unit=series.unit)

@@ -11,7 +11,6 @@ from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import changes_of, override
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
@@ -22,7 +21,7 @@ from ringwear_par.identification.definition.problem import (
     FittedParameter,
     Series,
 )
-from ringwear_par.identification.definition.schema import EXPERIMENT
+from ringwear_par.identification.definition.schema import reader_of
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -63,7 +62,7 @@ class ExperimentReader:
         return experiments
 
     def _experiment(self, place: str, table: Any) -> Experiment | None:
-        reader = TableReader(f"{self.name}: {place}", table, self.faults, EXPERIMENT)
+        reader = reader_of("experiment", f"{self.name}: {place}", table, self.faults)
         name = reader.read("name")
         if name is None:
             return None

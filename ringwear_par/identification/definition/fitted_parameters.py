@@ -19,14 +19,14 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.smooth_keys import smooth_keys
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
-from ringwear_par.identification.definition.schema import PARAMETER
+from ringwear_par.identification.definition.schema import keys_of, reader_of
 from ringwear_par.studies.variations import split_key, unnested
 
 #: other units in which keys may be given, by the unit of the case
@@ -50,7 +50,7 @@ def read_parameters(
         faults.append(Fault(sentence, "fit.parameters", "missing"))
         return ()
     parameters = []
-    for key, entry in unnested(table, PARAMETER.keys()).items():
+    for key, entry in unnested(table, keys_of("fit.parameters.KEY").keys()).items():
         parameter = _parameter(f'{place}."{legible(key)}"', key, entry, faults, units.get(key, ""))
         if parameter is not None:
             unit = parameter.unit or case_units.get(key, "")
@@ -71,7 +71,8 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table of units by fitted key")
         return {}
-    fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
+    known = parameters if isinstance(parameters, Mapping) else {}
+    fitted = unnested(known, keys_of("fit.parameters.KEY").keys())
     units = unnested(table, set())
     name_unknown_keys(place, units, list(fitted), faults, "is not fitted", "fit.units")
     for key, unit in units.items():
@@ -112,7 +113,7 @@ def _parameter(
         named_unit = number_and_unit(str(written))[1]
     if unit is None:  # of a user's law, whose numbers have any unit
         table = in_unit_where_right(table, None)
-    reader = TableReader(place, table, faults, PARAMETER)
+    reader = reader_of("fit.parameters.KEY", place, table, faults)
     start, bounds, prior = (reader.read(name, unit=unit) for name in ("start", "bounds", "prior"))
     log = reader.read("scale") == "log"
     scatter = read_scatter(place, key, reader.raw("scatter"), log, unit or "", faults)
