@@ -117,7 +117,7 @@ class Monitor:
             part = part_of(test, times <= window * (1.0 + 1e-9))
             if part.n == (specimens[-1].test.n if specimens else 0):
                 continue
-            later, probability = self._window(part, *specimens[-1:])
+            later, probability = self._window(part, specimens[-1] if specimens else None)
             if probability < _IMPROBABLE:
                 first = times[times > specimens[-1].test.times.max()].min()
                 return specimens, {"time": float(first), "probability": probability}
@@ -126,12 +126,13 @@ class Monitor:
             specimens.append(self.follower.update(test))
         return specimens, None
 
-    def _window(self, test: Experiment, *before: Specimen) -> tuple[Specimen, float]:
+    def _window(self, test: Experiment, before: Specimen | None) -> tuple[Specimen, float]:
         """Return the draws by a test, and how probable its new readings are by those before."""
         content = pickle.dumps(test.series)
         if content not in self._windows:
             later = self.follower.update(test)
-            self._windows[content] = later, surprise(self.follower, *before, later)
+            p = 1.0 if before is None else surprise(self.follower, before, later)
+            self._windows[content] = later, p
         return self._windows[content]
 
     def _intervals(self, unknowns: FloatArray) -> list[list[float]]:
@@ -180,7 +181,7 @@ class Monitor:
         return doubts
 
 
-def surprise(follower: Follower, before: Specimen, after: Specimen | None = None) -> float:
+def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     """Return how probable new readings are that leave the model of old ones by so much.
 
     The least sum of squares over histories, nuisances and growth times is larger with the new ones
@@ -191,8 +192,6 @@ def surprise(follower: Follower, before: Specimen, after: Specimen | None = None
     ----------
     before, after : draws by old readings, and by these and the new ones.
     """
-    if after is None:
-        return 1.0
     old, both = before.likelihood, follower.likelihood_like(before, after.test)
     if follower.problem.settings.loss == "student":
         middle = follower.readings(after, after.test).mean(axis=0)

@@ -215,7 +215,7 @@ def frame_of(problem: Problem) -> tuple[Hashable, ...]:
 
 def _stamps(files: Iterable[Path]) -> list[tuple[int, ...]]:
     """Return what changes when files are written to."""
-    stamps = []
+    stamps = list[tuple[int, ...]]()
     for file in files:
         with suppress(OSError):  # it may be replaced just now
             status = file.stat()

@@ -14,11 +14,12 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
+from ringwear_par.identification.definition.inputs import input_keys, read_inputs
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
     FittedParameter,
+    MeasuredInput,
     Series,
 )
 from ringwear_par.identification.definition.schema import reader_of
@@ -73,10 +74,12 @@ class ExperimentReader:
         measured = input_keys(tables)
         known = changes if self.law is None else self.law
         refuse_twice(place, known, self.parameters, measured, self.faults)
-        case, inputs = None, ()
+        case: Case | None = None
+        inputs: tuple[MeasuredInput, ...] = ()
         if self.base is not None and len(self.faults) < MOST_FAULTS:  # more are not shown
             keys = override(override(self.base, _STEPPING), changes)
-            keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
+            places = {key: keys.get(key, 1.0) for key in measured}  # of what is read below
+            keys = override(keys, {**places, **_STEPPING, **_OUTPUT})
             case = self._case(place, override(keys, self.law or {}), known)
             if tables:
                 inputs, curves = read_inputs(place, tables, case, self.files, self.faults)

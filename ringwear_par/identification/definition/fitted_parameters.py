@@ -29,9 +29,6 @@ from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import keys_of, reader_of
 from ringwear_par.studies.variations import split_key, unnested
 
-#: other units in which keys may be given, by the unit of the case
-_EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}
-
 
 def read_parameters(
     place: str,
@@ -51,9 +48,10 @@ def read_parameters(
         return ()
     parameters = []
     for key, entry in unnested(table, keys_of("fit.parameters.KEY").keys()).items():
-        parameter = _parameter(f'{place}."{legible(key)}"', key, entry, faults, units.get(key, ""))
-        if parameter is not None:
-            unit = parameter.unit or case_units.get(key, "")
+        written = entry.get("start") if isinstance(entry, Mapping) else None
+        own = number_and_unit(str(written))[1] if has_unit(written) else case_units.get(key, "")
+        unit = units.get(key, own)
+        if (parameter := _parameter(f'{place}."{legible(key)}"', key, entry, faults)) is not None:
             parameters.append(replace(parameter, unit=unit if _is_other(unit, key) else ""))
     return tuple(parameters)
 
@@ -81,17 +79,13 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
         try:
             factor(str(unit), base_unit(key))
         except RejectedError:
-            base = base_unit(key) or "a parameter"
-            example = f', such as "{_EXAMPLES[base]}"' if base in _EXAMPLES else ""
             state = f'{place}."{legible(key)}" = {shortened(unit)}'
-            sentence = f"{state}: must be a unit of {base}{example}"
+            sentence = f"{state}: must be a unit of {base_unit(key) or 'a parameter'}"
             faults.append(Fault(sentence, f"fit.units.{key}", "unit"))
     return units
 
 
-def _parameter(
-    place: str, key: str, table: Any, faults: list[str], named_unit: str
-) -> FittedParameter | None:
+def _parameter(place: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
     if layer_entry(key) is not None and (layer_key := key_of(key)) is not None:
@@ -108,9 +102,6 @@ def _parameter(
         faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
     before, unit = len(faults), base_unit(key)
-    written = table.get("start") if isinstance(table, Mapping) else None
-    if not named_unit and has_unit(written):
-        named_unit = number_and_unit(str(written))[1]
     if unit is None:  # of a user's law, whose numbers have any unit
         table = in_unit_where_right(table, None)
     reader = reader_of("fit.parameters.KEY", place, table, faults)
@@ -130,7 +121,7 @@ def _parameter(
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:
         return None
-    return FittedParameter(key, start, bounds, log, prior, scatter, named_unit)
+    return FittedParameter(key, start, bounds, log, prior, scatter)
 
 
 def unit_scale(parameter: FittedParameter) -> float:

@@ -1,7 +1,7 @@
 """``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
-from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault
 from ringwear_par.files.smoothing import MOST_POINTS
@@ -40,16 +39,6 @@ def input_keys(tables: Any) -> list[str]:
     entries = tables if isinstance(tables, list) else []
     keys = [entry.get("key") for entry in entries if isinstance(entry, Mapping)]
     return [key for key in keys if key in INPUT_KEYS]
-
-
-def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, Any]:
-    """Return the keys of a case, with plain numbers in place of what was measured."""
-    changed = dict(keys)
-    for key in measured:
-        if key in LOADS:
-            changed = {k: v for k, v in changed.items() if k not in LOADS or k == key}
-        changed.setdefault(key, 1.0)
-    return changed
 
 
 def read_inputs(
