@@ -35,8 +35,6 @@ from ringwear_par.identification.definition.schema import read_all
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
-#: s; records that begin so late, but within a day, may have times of day
-_HOUR = 3600.0
 #: share of the largest reading below which a relative error means nothing
 _NEAR_ZERO = 0.05
 #: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
@@ -166,8 +164,10 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     with _as_faults(reader, "file"):
         value = scale * data.numbers(names[1], rows)
     doubts: tuple[str, ...] = ()
-    if timed and len(x) and is_clock(first := data.first_cell(names[0])):
-        x, doubts = _of_clock(x, end, legible(first))
+    if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
+        x = x - x[0]
+        sentence = "after the end of the test; they are taken as times of day, that of the first"
+        doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
     known = (x_unit or (timed and data.names_seconds(names[0], rows)), unit)
     assumptions = tuple(
         assumption(column, base)
@@ -201,21 +201,6 @@ def _column_unit(
         state = f"units.{role} = {shortened(unit)}: {sentence}; must be the same unit"
         reader.fault(state, "units", "unit")
     return None if scale is None or len(reader.faults) > faults else (unit or named or "", scale)
-
-
-def _of_clock(x: FloatArray, end: float, first: str) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return times (n,) s of clock times until the end of the test, and what is doubted of them."""
-    if x[0] > end:
-        return x - x[0], (
-            f"the times begin with {first}, after the end of the test; they are taken as times of "
-            "day, that of the first reading as 0",
-        )
-    if _HOUR <= x[0] < 24.0 * _HOUR:
-        return x, (
-            f"the times begin with {first}, taken as elapsed since the start of the test; if they "
-            "are times of day, their column must have the date before them",
-        )
-    return x, ()
 
 
 def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:

@@ -1,7 +1,7 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -123,27 +123,23 @@ class ExperimentReader:
         return case
 
     def _refuse_twins(self, experiments: Sequence[Experiment]) -> None:
-        """Refuse experiments of one name, and the same lines of a file in two series."""
-        seen: list[tuple[str, str, str, dict[int, float]]] = []
+        """Refuse experiments of one name, and the same readings in two series."""
+        names, owners = set[str](), dict[Hashable, str]()
         for experiment in experiments:
             place = f'{self.name}: experiment "{legible(experiment.name)}"'
-            if experiment.name in [owner for owner, *_ in seen]:
+            if experiment.name in names:
                 sentence = f"{place}: is there twice; names must differ"
                 self.faults.append(Fault(sentence, "experiment.name", "conflict"))
                 continue
+            names.add(experiment.name)
             for series in experiment.series:
-                lines = [] if series.lines is None else series.lines.tolist()
-                values = dict(zip(lines, series.value.tolist(), strict=False))
-                for owner, quantity, file, earlier in seen:
-                    shared = values.keys() & earlier.keys()
-                    if not shared or (quantity, file) != (series.quantity, series.file):
-                        continue
-                    if all(values[line] == earlier[line] for line in shared):
-                        self.faults.append(
-                            f"{place}: {quantity}: {file} has the readings of experiment "
-                            f'"{legible(owner)}"; must be read once'
-                        )
-                seen.append((experiment.name, series.quantity, series.file, values))
+                content = series.quantity, series.file, series.value.tobytes()
+                if series.file and content in owners:
+                    self.faults.append(
+                        f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                        f'"{legible(owners[content])}"; must be read once'
+                    )
+                owners[content] = experiment.name
 
 
 def _named(series: Sequence[Series]) -> tuple[Series, ...]:
