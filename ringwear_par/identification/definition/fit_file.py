@@ -20,7 +20,7 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
-from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.errors import Code, Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader
@@ -142,23 +142,17 @@ def _experiment_tables(
     files: FileStore,
     faults: list[str],
 ) -> list[tuple[str, Any]]:
-    """Return the tables of a fit file's tests, each with where it stands. Not collective.
+    """Return the tables of a fit file's tests, each with where it stands.
 
-    Those that are written out, then those of the table that ``[tests]`` names.
-
-    Parameters
-    ----------
-    name : of the fit file in messages.
-    file : its tables.
-    base : dotted keys of its case; None where that has faults.
+    Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
+    dotted keys of their case, None where that has faults.
     """
     written = file.get("experiment", [] if "tests" in file else None)
     if not isinstance(written, list) or not (written or "tests" in file):
         state = "is missing" if written is None else f"= {shortened(written)}"
+        code: Code = "missing" if written is None else "not_allowed"
         sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
-        faults.append(
-            Fault(sentence, "experiment", "missing" if written is None else "not_allowed")
-        )
+        faults.append(Fault(sentence, "experiment", code))
         return []
     tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
     if "tests" not in file:
@@ -225,10 +219,8 @@ def _read_alternatives(
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)
         changes, fitted = changes_of(reader, folder), reader.raw("parameters")
-        laws[name] = (
-            changes,
-            read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units),
-        )
+        place_of_keys = f"{reader.place}.parameters"
+        laws[name] = changes, read_parameters(place_of_keys, fitted, faults, {}, case_units)
         reader.finish()
     return laws
 
