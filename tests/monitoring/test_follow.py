@@ -209,8 +209,7 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
         growth = -3e-3 * (1.0 - np.exp(-times / max(20.0 + 7.0 * random.standard_normal(), 4.0)))
         sd = np.full(60, 2e-4)
         series = replace(test.series[0], x=times, value=z + growth, sd=sd, lines=None)
-        now = replace(problem, experiments=(replace(test, series=(series,)),))
-        return answered(follower, now)
+        return answered(follower, replace(problem, experiments=(replace(test, series=(series,)),)))
 
     for seed in range(20):
         k = MATERIAL * np.exp(np.hypot(0.1, TAU) * random.standard_normal())
