@@ -5,7 +5,7 @@ and in lines of text.
 """
 
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -29,9 +29,9 @@ from ringwear_par.results.key_numbers import time_words
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: error of histories over their spread above which there is a doubt; share of the draws at edges of
-#: what was drawn before above which there is one, and part of the box that is at its edges
-_ROUGH, _AT_EDGES, _EDGE = 2e-3, 0.01, 0.97
+#: share of the draws at edges of what was drawn before above which there is a doubt, and part of
+#: the box that is at its edges
+_AT_EDGES, _EDGE = 0.01, 0.97
 #: draws by which readings are predicted
 PREDICTED = 2000
 #: times at which the sd of a key is expected
@@ -49,136 +49,115 @@ def part_of(test: Experiment, rows: BoolArray) -> Experiment:
     return replace(test, series=tuple(informative))
 
 
-class Monitor:
-    """Answers to the readings of a running test. On the first rank, within ``Readings.lead``.
+def answer_of(
+    follower: Follower, problem: Problem, percent: float, depth: float | None = None
+) -> tuple[dict[str, Any], Specimen]:
+    """Return the answer to the readings so far, the contents of follow.json; and the draws.
+
+    Of ``trace`` an entry is time, low end, median and high end of the first wear rate, whose
+    interval is to become narrow; the first one is before the test.
 
     Parameters
     ----------
-    goal : number of the key whose interval is to become narrow: half its width over the median,
-        in percent.
+    problem : of the running test, with its readings so far.
+    percent : half the width of that interval over the median.
     depth : mm, of penetration; None: none is asked for.
-    doubts : that there are before the test.
     """
+    (test,), level = problem.experiments, problem.settings.level
+    specimens, alarm = _followed(follower, test)
+    specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
+    before, *every = (
+        _intervals(follower, x, level) for x in (follower.before, *(s.unknowns for s in specimens))
+    )
+    keys = _keys(follower, problem, before, every[-1])
+    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
+    goal = (*rates, 0)[0]
+    key, reached = problem.keys[goal], keys[problem.keys[goal]]["percent"]
+    time, less = time_to_goal(follower, specimen, goal, percent / reached)
+    times = [0.0, *(float(one.test.times.max()) for one in specimens)]
+    found = None
+    if depth is not None:
+        there = TimeTo.of(time_to(follower, specimen, depth), level)
+        found = {"depth": depth, **there._asdict()}
+    answer = {
+        "test": test.name, "whom": follower.of, "time": now, "end": end,
+        "ended": now >= _ENDED * end, "readings": test.n, "level": level, "keys": keys,
+        "depth": found, "alarm": alarm,
+        "trace": [[t, *ends[goal]] for t, ends in zip(times, (before, *every), strict=True)],
+        "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
+        "interpolated": follower.error, "doubts": _doubts_of(follower, specimen, alarm, end),
+    }  # fmt: skip
+    return {**answer, "summary": _lines(answer)}, specimen
 
-    def __init__(
-        self,
-        follower: Follower,
-        goal: tuple[int, float],
-        depth: float | None = None,
-        doubts: Sequence[str] = (),
-    ) -> None:
-        self.follower, (self._goal, self._percent), self._depth = follower, goal, depth
-        self._doubts, tail = doubts, 0.5 * (1.0 - follower.problem.settings.level)
-        #: probabilities of the ends of intervals and of the median
-        self.tails = (tail, 0.5, 1.0 - tail)
-        self._before = self._intervals(follower.before)
-        #: draws at the end of a window, and probability of its readings, by all until then
-        self._windows: dict[bytes, tuple[Specimen, float]] = {}
 
-    def answer(self, problem: Problem) -> tuple[dict[str, Any], Specimen]:
-        """Return the answer to the readings so far, the contents of follow.json; and the draws.
+def _followed(
+    follower: Follower, test: Experiment
+) -> tuple[list[Specimen], dict[str, float] | None]:
+    """Return the draws at the ends of windows and now, or until an alarm, and the alarm."""
+    times, end, specimens = test.times, test.case.time.end, list[Specimen]()
+    windows = end * np.arange(1, WINDOWS + 1) / WINDOWS
+    for window in windows[windows <= times.max() * (1.0 + 1e-9)]:
+        part = part_of(test, times <= window * (1.0 + 1e-9))
+        if part.n == (specimens[-1].test.n if specimens else 0):
+            continue
+        content = pickle.dumps(part.series)
+        if content not in follower.windows:
+            later = follower.update(part)
+            p = surprise(follower, specimens[-1], later) if specimens else 1.0
+            follower.windows[content] = later, p
+        later, probability = follower.windows[content]
+        if probability < _IMPROBABLE:
+            first = times[times > specimens[-1].test.times.max()].min()
+            return specimens, {"time": float(first), "probability": probability}
+        specimens.append(later)
+    if not specimens or specimens[-1].test.n < test.n:
+        specimens.append(follower.update(test))
+    return specimens, None
 
-        Of ``trace`` an entry is time, low end, median and high end of the goal's key, the first one
-        before the test.
 
-        Parameters
-        ----------
-        problem : of the running test, with its readings so far.
-        """
-        (test,), follower, goal = problem.experiments, self.follower, self._goal
-        specimens, alarm = self._followed(test)
-        specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
-        every = [self._intervals(one.unknowns) for one in specimens]
-        keys = self._keys(problem, every[-1])
-        key, percent = problem.keys[goal], keys[problem.keys[goal]]["percent"]
-        time, less = time_to_goal(follower, specimen, goal, self._percent / percent)
-        depth, level = None, problem.settings.level
-        if self._depth is not None:
-            reached = TimeTo.of(time_to(follower, specimen, self._depth), level)
-            depth = {"depth": self._depth, **reached._asdict()}
-        answer = {
-            "test": test.name, "whom": follower.of, "time": now, "end": end,
-            "ended": now >= _ENDED * end, "readings": test.n, "level": level, "keys": keys,
-            "depth": depth, "alarm": alarm, "trace": [
-                [0.0, *self._before[goal]],
-                *([float(one.test.times.max()), *intervals[goal]]
-                  for one, intervals in zip(specimens, every, strict=True)),
-            ],
-            "goal": {"key": key, "percent": self._percent, "time": time, "at_end": percent * less},
-            "interpolated": follower.error, "doubts": self._doubts_of(specimen, alarm, end),
+def _intervals(follower: Follower, unknowns: FloatArray, level: float) -> list[list[float]]:
+    """Return low end, median and high end of each key over draws (s, m)."""
+    values, tail = follower.draws.values(unknowns[:, : follower.m]), 0.5 * (1.0 - level)
+    ends: list[list[float]] = np.quantile(values, (tail, 0.5, 1.0 - tail), axis=0).T.tolist()
+    return ends
+
+
+def _keys(
+    follower: Follower, problem: Problem, before: list[list[float]], now: list[list[float]]
+) -> dict[str, dict[str, Any]]:
+    """Return entries of the keys, as in fit.json, with the interval before the test."""
+    keys = {}
+    for parameter, unit, (low, median, high), (first, _, last) in zip(
+        problem.parameters, follower.draws.units, now, before, strict=True
+    ):
+        entry = {
+            "unit": unit, "estimate": median, "interval": (low, high),
+            "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
         }  # fmt: skip
-        return {**answer, "summary": _lines(answer)}, specimen
+        converted = in_users_unit(parameter, entry, problem.experiments[0].case)
+        keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
+    return keys
 
-    def _followed(self, test: Experiment) -> tuple[list[Specimen], dict[str, float] | None]:
-        """Return the draws at the ends of windows and now, or until an alarm, and the alarm."""
-        times, end, specimens = test.times, test.case.time.end, list[Specimen]()
-        windows = end * np.arange(1, WINDOWS + 1) / WINDOWS
-        for window in windows[windows <= times.max() * (1.0 + 1e-9)]:
-            part = part_of(test, times <= window * (1.0 + 1e-9))
-            if part.n == (specimens[-1].test.n if specimens else 0):
-                continue
-            later, probability = self._window(part, specimens[-1] if specimens else None)
-            if probability < _IMPROBABLE:
-                first = times[times > specimens[-1].test.times.max()].min()
-                return specimens, {"time": float(first), "probability": probability}
-            specimens.append(later)
-        if not specimens or specimens[-1].test.n < test.n:
-            specimens.append(self.follower.update(test))
-        return specimens, None
 
-    def _window(self, test: Experiment, before: Specimen | None) -> tuple[Specimen, float]:
-        """Return the draws by a test, and how probable its new readings are by those before."""
-        content = pickle.dumps(test.series)
-        if content not in self._windows:
-            later = self.follower.update(test)
-            probability = 1.0 if before is None else surprise(self.follower, before, later)
-            self._windows[content] = later, probability
-        return self._windows[content]
-
-    def _intervals(self, unknowns: FloatArray) -> list[list[float]]:
-        """Return low end, median and high end of each key over draws (s, m)."""
-        values = self.follower.draws.values(unknowns[:, : self.follower.m])
-        ends: list[list[float]] = np.quantile(values, self.tails, axis=0).T.tolist()
-        return ends
-
-    def _keys(self, problem: Problem, intervals: list[list[float]]) -> dict[str, dict[str, Any]]:
-        """Return entries of the keys, as in fit.json, with the interval before the test."""
-        keys = {}
-        for parameter, unit, (low, median, high), (first, _, last) in zip(
-            problem.parameters, self.follower.draws.units, intervals, self._before, strict=True
-        ):
-            entry = {
-                "unit": unit, "estimate": median, "interval": (low, high),
-                "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
-            }  # fmt: skip
-            converted = in_users_unit(parameter, entry, problem.experiments[0].case)
-            keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
-        return keys
-
-    def _doubts_of(
-        self, specimen: Specimen, alarm: dict[str, float] | None, end: float
-    ) -> list[str]:
-        """Return what speaks against the numbers, an alarm first."""
-        doubts, follower = [*self._doubts], self.follower
-        if alarm is not None:
-            doubts.insert(
-                0,
-                f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} "
-                f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
-                "rig; all numbers are of the readings before",
-            )
-        inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
-        if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
-            doubts.append(
-                "this specimen is beyond almost all that the earlier tests let expect: intervals "
-                "are cut off there; check that they are of the same material and rig"
-            )
-        if follower.error > _ROUGH:
-            doubts.append(
-                f"histories between draws are known to {100 * follower.error:.2g} % of their "
-                "spread: a layer is worn through, or a threshold is reached, at some draws"
-            )
-        return doubts
+def _doubts_of(
+    follower: Follower, specimen: Specimen, alarm: dict[str, float] | None, end: float
+) -> list[str]:
+    """Return what speaks against the numbers, an alarm first."""
+    doubts = [*follower.doubts]
+    if alarm is not None:
+        doubts.insert(
+            0,
+            f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} "
+            f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
+            "rig; all numbers are of the readings before",
+        )
+    inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
+    if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
+        doubts.append(
+            "this specimen is beyond almost all that the earlier tests let expect: intervals "
+            "are cut off there; check that they are of the same material and rig"
+        )
+    return doubts
 
 
 def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:

@@ -24,7 +24,7 @@ from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import Monitor
+from ringwear_par.monitoring.answer import answer_of
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
@@ -32,7 +32,7 @@ from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draw
 from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
-from ringwear_par.results.progress import StopSignals
+from ringwear_par.results.signals import StopSignals
 from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
@@ -93,17 +93,15 @@ def run_follow(
     fit = after or fit_problem(on_first_rank(comm, others), comm)
     known = on_first_rank(comm, lambda: fit_draws(fit))
 
-    def monitor_of(problem: Problem) -> Monitor:
+    def follower_of(problem: Problem) -> Follower:
         problem, of, doubts = _followed(problem, after, known)
         readings.tell(f"histories of {legible(name)}")
-        # the interval of the first wear rate is to become narrow
-        rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
-        follower = Follower(known, of, problem, readings, draws, seed)
-        return Monitor(follower, ((*rates, 0)[0], percent), mm, doubts)
+        return Follower(known, of, problem, readings, draws, seed, doubts)
 
     with StopSignals() as signals:
         readings = Readings(running, comm, signals)
-        readings.lead(lambda: _loop(source, name, monitor_of, folder, once, signals))
+        by = partial(answer_of, percent=percent, depth=mm)
+        readings.lead(lambda: _loop(source, name, follower_of, by, folder, once, signals))
 
 
 def _percent(text: str, faults: list[str]) -> float:
@@ -165,7 +163,8 @@ def _followed(problem: Problem, after: Path | None, draws: Draws) -> tuple[Probl
 def _loop(
     source: Path,
     name: str,
-    monitor_of: Callable[[Problem], Monitor],
+    follower_of: Callable[[Problem], Follower],
+    answer_by: Callable[[Follower, Problem], tuple[dict[str, Any], Specimen]],
     folder: Path,
     once: bool,
     signals: StopSignals,
@@ -182,7 +181,7 @@ def _loop(
             problem = read_running(source, name)
             files |= {*problem.hashes}
             if (present_frame := frame_of(problem)) != frame:
-                monitor, frame = monitor_of(problem), present_frame
+                follower, frame = follower_of(problem), present_frame
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -192,11 +191,11 @@ def _loop(
             continue
         except StoppedError:
             break
-        answer, specimen = monitor.answer(problem)
+        answer, specimen = answer_by(follower, problem)
         contents = {**answer, "versions": versions()}
         write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, contents)})
         ended, alarm = once or answer["ended"], answer["alarm"] is not None
-        show = partial(_show, folder, answer, monitor.follower, specimen)
+        show = partial(_show, folder, answer, follower, specimen)
         if ended or alarm > alarmed or time.monotonic() - printed > _PAUSE:
             show()
             shown, printed, alarmed = answer, time.monotonic(), alarm
@@ -215,7 +214,7 @@ def frame_of(problem: Problem) -> tuple[Hashable, ...]:
 
 def _stamps(files: Iterable[Path]) -> list[tuple[int, ...]]:
     """Return what changes when files are written to."""
-    stamps: list[tuple[int, ...]] = []
+    stamps = list[tuple[int, ...]]()
     for file in files:
         with suppress(OSError):  # it may be replaced just now
             status = file.stat()

@@ -86,13 +86,24 @@ class Follower:
     of : the next specimen, or one of the fit's.
     problem : of the running test.
     count, seed : number of draws, and their seed.
+    doubts : that there are before the test.
     """
 
     def __init__(
-        self, draws: Draws, of: str, problem: Problem, readings: Readings, count: int, seed: int
+        self,
+        draws: Draws,
+        of: str,
+        problem: Problem,
+        readings: Readings,
+        count: int,
+        seed: int,
+        doubts: Sequence[str] = (),
     ) -> None:
         x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
         self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
+        #: draws at the end of a window, and how probable its readings were, by all until then
+        self.windows: dict[bytes, tuple[Specimen, float]] = {}
+        self.doubts = doubts
         bodies = [body_of_wear(key) for key in problem.settings.process]
         self.m, (test,) = x.shape[1], problem.experiments
         plan = _plan(test, bodies)

@@ -1,6 +1,7 @@
 """The page of a running test: a browser loads it anew while the test runs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,13 +25,15 @@ _DRAWN, _REFRESH = ("penetration", "approach", "torque"), 10
 def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -> blocks.Page:
     """Return the page of an answer, by the draws of the specimen that it is made of."""
     key = answer["goal"]["key"]
-    charts = [blocks.chart(_key(answer, key), f"{key} and its interval over the test")]
-    known = [one for one in records(specimen.test.series) if one[0].quantity in _DRAWN][:1]
-    charts += [
-        blocks.chart(_record(answer, follower, specimen, *one),
-                     "Readings, and histories of this specimen")
-        for one in known
-    ]  # fmt: skip
+    numbers, unit = users_numbers(answer["keys"][key])
+    time, *ends = np.array(answer["trace"]).T
+    axis, words = Axis(f"{key} ({in_signs(unit or '1')})"), "by the readings until then"
+    panel = _panel(answer, axis, words, time, np.array(ends) / numbers["scale"], marked=True)
+    charts = [blocks.chart(panel, f"{key} and its interval over the time of the test")]
+    known = [one for one in records(specimen.test.series) if one[0].quantity in _DRAWN]
+    for series, part in known[:1]:
+        panel = _record(answer, follower, specimen, series, part)
+        charts.append(blocks.chart(panel, "Readings, and histories of this specimen"))
     summary: list[blocks.Block] = [blocks.Lines([*map(with_signs, answer["summary"])])]
     summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
     sections = [
@@ -41,32 +44,20 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
     return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
 
 
-def _key(answer: Mapping[str, Any], key: str) -> Panel:
-    """Return the panel of a key, whose interval is the answer's trace."""
-    numbers, unit = users_numbers(answer["keys"][key])
-    time, *ends = np.array(answer["trace"]).T
-    axis = Axis(f"{key} ({in_signs(unit or '1')})")
-    words = "by the readings until then"
-    return _panel(answer, axis, words, time, np.array(ends) / numbers["scale"], marked=True)
-
-
 def _record(
     answer: Mapping[str, Any], follower: Follower, specimen: Specimen, series: Series, part: slice
 ) -> Panel:
     """Return the panel of a record, whose readings are a part of the test's."""
-    tail = 0.5 * (1.0 - answer["level"])
+    tail, seconds = 0.5 * (1.0 - answer["level"]), time_unit(answer["end"])[1]
     steps = specimen.some(PREDICTED).v @ follower.columns[follower.places[series.name]].T
     middle = follower.readings(specimen, specimen.test).mean(axis=0)
     added = specimen.likelihood.nuisance_draws(middle[None])[0][0, part]
     symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
-    seconds = time_unit(answer["end"])[1]
-    points = Points(
-        series.x / seconds, factor * (series.value - added), "readings, less offset and drift"
-    )
+    values, name = factor * (series.value - added), "readings, less offset and drift"
     axis = Axis(f"{series.quantity} ({symbol})", zero=True)
     ends = factor * np.quantile(steps, [tail, 0.5, 1.0 - tail], axis=0)
-    words = "readings, and histories of this specimen"
-    return _panel(answer, axis, words, follower.time, ends, [points])
+    panel = _panel(answer, axis, "readings, and histories of this specimen", follower.time, ends)
+    return replace(panel, points=[Points(series.x / seconds, values, name)])
 
 
 def _panel(
@@ -75,7 +66,6 @@ def _panel(
     words: str,
     time: FloatArray,
     ends: FloatArray,
-    points: Sequence[Points] = (),
     *,
     marked: bool = False,
 ) -> Panel:
@@ -86,5 +76,4 @@ def _panel(
         Axis(f"time ({unit})"), axis, words,
         curves=[Curve(time, median, "median", COLOURS[1], marked=marked)],
         bands=[Band(time, low, high, f"{100 * answer['level']:g} %")],
-        points=points,
     )  # fmt: skip

@@ -31,12 +31,10 @@ from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem, Series
-from ringwear_par.identification.definition.schema import SD
+from ringwear_par.identification.definition.schema import read_all
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
-#: s; records that begin so late, but within a day, may have times of day
-_HOUR = 3600.0
 #: share of the largest reading below which a relative error means nothing
 _NEAR_ZERO = 0.05
 #: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
@@ -166,8 +164,10 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     with _as_faults(reader, "file"):
         value = scale * data.numbers(names[1], rows)
     doubts: tuple[str, ...] = ()
-    if timed and len(x) and is_clock(first := data.first_cell(names[0])):
-        x, doubts = _of_clock(x, end, legible(first))
+    if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
+        x = x - x[0]
+        sentence = "after the end of the test; they are taken as times of day, that of the first"
+        doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
     known = (x_unit or (timed and data.names_seconds(names[0], rows)), unit)
     assumptions = tuple(
         assumption(column, base)
@@ -203,21 +203,6 @@ def _column_unit(
     return None if scale is None or len(reader.faults) > faults else (unit or named or "", scale)
 
 
-def _of_clock(x: FloatArray, end: float, first: str) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return times (n,) s of clock times until the end of the test, and what is doubted of them."""
-    if x[0] > end:
-        return x - x[0], (
-            f"the times begin with {first}, after the end of the test; they are taken as times of "
-            "day, that of the first reading as 0",
-        )
-    if _HOUR <= x[0] < 24.0 * _HOUR:
-        return x, (
-            f"the times begin with {first}, taken as elapsed since the start of the test; if they "
-            "are times of day, their column must have the date before them",
-        )
-    return x, ()
-
-
 def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
     entry, series = reader.raw("sd"), readings.series
@@ -235,16 +220,15 @@ def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tupl
     elif named:
         return _sd_column(reader, str(entry), readings), False
     elif isinstance(entry, Mapping):
-        relative = TableReader(f"{reader.place}: sd", entry, [], SD).read("relative")
+        place = f"{reader.place}: sd"
+        _, (relative,) = read_all("experiment.data.sd", place, entry, reader.faults)
         smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)) or 1, mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
-        if relative is None or set(entry) != {"relative"}:
-            reader.wrong("sd", "must be { relative = x }, a number > 0")
-        elif small.any():
+        if relative is not None and small.any():
             line = lines_of(series)[int(small.argmax())]
             rule = "must be in the data's unit where readings are near zero, as here"
             reader.wrong("sd", f"{line}{rule}")
-        else:
+        elif relative is not None:
             return relative * smooth, False
     else:
         single = reader.read("sd", unit=series.unit)

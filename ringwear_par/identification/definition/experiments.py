@@ -1,7 +1,7 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,10 @@ from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import changes_of, override
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
+from ringwear_par.identification.definition.inputs import input_keys, read_inputs
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
@@ -23,7 +22,7 @@ from ringwear_par.identification.definition.problem import (
     MeasuredInput,
     Series,
 )
-from ringwear_par.identification.definition.schema import EXPERIMENT
+from ringwear_par.identification.definition.schema import reader_of
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -64,7 +63,7 @@ class ExperimentReader:
         return experiments
 
     def _experiment(self, place: str, table: Any) -> Experiment | None:
-        reader = TableReader(f"{self.name}: {place}", table, self.faults, EXPERIMENT)
+        reader = reader_of("experiment", f"{self.name}: {place}", table, self.faults)
         name = reader.read("name")
         if name is None:
             return None
@@ -79,7 +78,8 @@ class ExperimentReader:
         inputs: tuple[MeasuredInput, ...] = ()
         if self.base is not None and len(self.faults) < MOST_FAULTS:  # more are not shown
             keys = override(override(self.base, _STEPPING), changes)
-            keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
+            places = {key: keys.get(key, 1.0) for key in measured}  # of what is read below
+            keys = override(keys, {**places, **_STEPPING, **_OUTPUT})
             case = self._case(place, override(keys, self.law or {}), known)
             if tables:
                 inputs, curves = read_inputs(place, tables, case, self.files, self.faults)
@@ -123,27 +123,23 @@ class ExperimentReader:
         return case
 
     def _refuse_twins(self, experiments: Sequence[Experiment]) -> None:
-        """Refuse experiments of one name, and the same lines of a file in two series."""
-        seen: list[tuple[str, str, str, dict[int, float]]] = []
+        """Refuse experiments of one name, and the same readings in two series."""
+        names, owners = set[str](), dict[Hashable, str]()
         for experiment in experiments:
             place = f'{self.name}: experiment "{legible(experiment.name)}"'
-            if experiment.name in [owner for owner, *_ in seen]:
+            if experiment.name in names:
                 sentence = f"{place}: is there twice; names must differ"
                 self.faults.append(Fault(sentence, "experiment.name", "conflict"))
                 continue
+            names.add(experiment.name)
             for series in experiment.series:
-                lines = [] if series.lines is None else series.lines.tolist()
-                values = dict(zip(lines, series.value.tolist(), strict=False))
-                for owner, quantity, file, earlier in seen:
-                    shared = values.keys() & earlier.keys()
-                    if not shared or (quantity, file) != (series.quantity, series.file):
-                        continue
-                    if all(values[line] == earlier[line] for line in shared):
-                        self.faults.append(
-                            f"{place}: {quantity}: {file} has the readings of experiment "
-                            f'"{legible(owner)}"; must be read once'
-                        )
-                seen.append((experiment.name, series.quantity, series.file, values))
+                content = series.quantity, series.file, series.value.tobytes()
+                if series.file and content in owners:
+                    self.faults.append(
+                        f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                        f'"{legible(owners[content])}"; must be read once'
+                    )
+                owners[content] = experiment.name
 
 
 def _named(series: Sequence[Series]) -> tuple[Series, ...]:

@@ -20,9 +20,8 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
-from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.errors import Code, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader
 from ringwear_par.identification.definition.fitted_parameters import read_parameters, read_units
@@ -37,6 +36,7 @@ from ringwear_par.identification.definition.scatter import (
     check_scatter,
     read_process,
 )
+from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
 
 log = logging.getLogger(__name__)
 
@@ -142,28 +142,22 @@ def _experiment_tables(
     files: FileStore,
     faults: list[str],
 ) -> list[tuple[str, Any]]:
-    """Return the tables of a fit file's tests, each with where it stands. Not collective.
+    """Return the tables of a fit file's tests, each with where it stands.
 
-    Those that are written out, then those of the table that ``[tests]`` names.
-
-    Parameters
-    ----------
-    name : of the fit file in messages.
-    file : its tables.
-    base : dotted keys of its case; None where that has faults.
+    Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
+    dotted keys of their case, None where that has faults.
     """
     written = file.get("experiment", [] if "tests" in file else None)
     if not isinstance(written, list) or not (written or "tests" in file):
         state = "is missing" if written is None else f"= {shortened(written)}"
+        code: Code = "missing" if written is None else "not_allowed"
         sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
-        faults.append(
-            Fault(sentence, "experiment", "missing" if written is None else "not_allowed")
-        )
+        faults.append(Fault(sentence, "experiment", code))
         return []
     tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
     if "tests" not in file:
         return tables
-    tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
+    tests = laboratory_tests(f"{name}: tests", file["tests"], keys_of("tests"), base, files, faults)
     return [*tables, *tests.items()]
 
 
@@ -183,7 +177,7 @@ def _read_settings(
     if isinstance(table, Mapping) and (gone := [key for key in _GONE if key in table]):
         log.warning("%s: %s: is not needed any more, and ignored", place, ", ".join(gone))
         table = {key: value for key, value in table.items() if key not in gone}
-    reader = TableReader(place, table, faults, schema.FIT)
+    reader = reader_of("fit", place, table, faults)
     fitted = reader.raw("parameters")
     units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)
     parameters = read_parameters(f"{place}.parameters", fitted, faults, units, case_units)
@@ -197,23 +191,20 @@ def _read_design_space(
     place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> DesignSpace:
     """Return the space of ``[design]``; add what is wrong with it to the faults."""
-    reader = TableReader(place, table, faults, schema.DESIGN)
+    reader = reader_of("design", place, table, faults)
     criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
     reader.finish()
-    units = {key: unit for key, unit in case_units.items() if key in schema.VARY}
+    units = {key: unit for key, unit in case_units.items() if key in keys_of("design.vary")}
     for key, entry in vary.items() if isinstance(vary, Mapping) else ():
         if isinstance(entry, list) and entry and has_unit(entry[0]):
             units[key] = number_and_unit(entry[0])[1]
-    vary = TableReader(f"{place}.vary", vary, faults, schema.VARY)
-    values = {key: vary.read(key) for key in schema.VARY}
-    ranges = {key: value for key, value in values.items() if value is not None}
-    vary.finish()
+    varied, values = read_all("design.vary", f"{place}.vary", vary, faults)
+    every = zip(keys_of("design.vary"), values, strict=True)
+    ranges = {key: value for key, value in every if value is not None}
     if all(key in ranges for key in _LOADS):
-        vary.fault("load.pressure and load.force: only one of them may vary")
-    limits = TableReader(f"{place}.budget", budget, faults, schema.BUDGET)
-    seconds, count = limits.read("time.end"), limits.read("experiments")
-    limits.finish()
+        varied.fault("load.pressure and load.force: only one of them may vary")
+    _, (seconds, count) = read_all("design.budget", f"{place}.budget", budget, faults)
     return DesignSpace(criterion, ranges, seconds, count, units)
 
 
@@ -228,10 +219,8 @@ def _read_alternatives(
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)
         changes, fitted = changes_of(reader, folder), reader.raw("parameters")
-        laws[name] = (
-            changes,
-            read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units),
-        )
+        place_of_keys = f"{reader.place}.parameters"
+        laws[name] = changes, read_parameters(place_of_keys, fitted, faults, {}, case_units)
         reader.finish()
     return laws
 

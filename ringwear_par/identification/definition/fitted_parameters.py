@@ -19,18 +19,15 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.smooth_keys import smooth_keys
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
-from ringwear_par.identification.definition.schema import PARAMETER
+from ringwear_par.identification.definition.schema import keys_of, reader_of
 from ringwear_par.studies.variations import split_key, unnested
-
-#: other units in which keys may be given, by the unit of the case
-_EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}
 
 
 def read_parameters(
@@ -50,10 +47,11 @@ def read_parameters(
         faults.append(Fault(sentence, "fit.parameters", "missing"))
         return ()
     parameters = []
-    for key, entry in unnested(table, PARAMETER.keys()).items():
-        parameter = _parameter(f'{place}."{legible(key)}"', key, entry, faults, units.get(key, ""))
-        if parameter is not None:
-            unit = parameter.unit or case_units.get(key, "")
+    for key, entry in unnested(table, keys_of("fit.parameters.KEY").keys()).items():
+        written = entry.get("start") if isinstance(entry, Mapping) else None
+        own = number_and_unit(str(written))[1] if has_unit(written) else case_units.get(key, "")
+        unit = units.get(key, own)
+        if (parameter := _parameter(f'{place}."{legible(key)}"', key, entry, faults)) is not None:
             parameters.append(replace(parameter, unit=unit if _is_other(unit, key) else ""))
     return tuple(parameters)
 
@@ -71,7 +69,8 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table of units by fitted key")
         return {}
-    fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
+    known = parameters if isinstance(parameters, Mapping) else {}
+    fitted = unnested(known, keys_of("fit.parameters.KEY").keys())
     units = unnested(table, set())
     name_unknown_keys(place, units, list(fitted), faults, "is not fitted", "fit.units")
     for key, unit in units.items():
@@ -80,17 +79,13 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
         try:
             factor(str(unit), base_unit(key))
         except RejectedError:
-            base = base_unit(key) or "a parameter"
-            example = f', such as "{_EXAMPLES[base]}"' if base in _EXAMPLES else ""
             state = f'{place}."{legible(key)}" = {shortened(unit)}'
-            sentence = f"{state}: must be a unit of {base}{example}"
+            sentence = f"{state}: must be a unit of {base_unit(key) or 'a parameter'}"
             faults.append(Fault(sentence, f"fit.units.{key}", "unit"))
     return units
 
 
-def _parameter(
-    place: str, key: str, table: Any, faults: list[str], named_unit: str
-) -> FittedParameter | None:
+def _parameter(place: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
     if layer_entry(key) is not None and (layer_key := key_of(key)) is not None:
@@ -107,12 +102,9 @@ def _parameter(
         faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
     before, unit = len(faults), base_unit(key)
-    written = table.get("start") if isinstance(table, Mapping) else None
-    if not named_unit and has_unit(written):
-        named_unit = number_and_unit(str(written))[1]
     if unit is None:  # of a user's law, whose numbers have any unit
         table = in_unit_where_right(table, None)
-    reader = TableReader(place, table, faults, PARAMETER)
+    reader = reader_of("fit.parameters.KEY", place, table, faults)
     start, bounds, prior = (reader.read(name, unit=unit) for name in ("start", "bounds", "prior"))
     log = reader.read("scale") == "log"
     scatter = read_scatter(place, key, reader.raw("scatter"), log, unit or "", faults)
@@ -129,7 +121,7 @@ def _parameter(
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:
         return None
-    return FittedParameter(key, start, bounds, log, prior, scatter, named_unit)
+    return FittedParameter(key, start, bounds, log, prior, scatter)
 
 
 def unit_scale(parameter: FittedParameter) -> float:

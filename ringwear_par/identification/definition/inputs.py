@@ -1,15 +1,14 @@
 """``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
-from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault
 from ringwear_par.files.smoothing import MOST_POINTS
@@ -17,9 +16,9 @@ from ringwear_par.identification.definition.data_sources import read_readings
 from ringwear_par.identification.definition.problem import MeasuredInput, Prior
 from ringwear_par.identification.definition.schema import (
     FEWEST_READINGS,
-    INPUT,
     INPUT_KEYS,
-    INPUT_SCALE,
+    read_all,
+    reader_of,
 )
 from ringwear_par.identification.definition.series import (
     check_times,
@@ -40,16 +39,6 @@ def input_keys(tables: Any) -> list[str]:
     entries = tables if isinstance(tables, list) else []
     keys = [entry.get("key") for entry in entries if isinstance(entry, Mapping)]
     return [key for key in keys if key in INPUT_KEYS]
-
-
-def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, Any]:
-    """Return the keys of a case, with plain numbers in place of what was measured."""
-    changed = dict(keys)
-    for key in measured:
-        if key in LOADS:
-            changed = {k: v for k, v in changed.items() if k not in LOADS or k == key}
-        changed.setdefault(key, 1.0)
-    return changed
 
 
 def read_inputs(
@@ -81,7 +70,7 @@ def read_inputs(
 def _input(
     place: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
-    before, reader = len(faults), TableReader(place, table, faults, INPUT)
+    before, reader = len(faults), reader_of("experiment.input", place, table, faults)
     key, quantity = reader.read("key"), reader.read("quantity")
     end = math.inf if case is None else case.time.end
     reader.place = place if key is None else f"{place} ({key})"
@@ -128,12 +117,11 @@ def _scale(reader: TableReader) -> Prior | None:
     """Return the prior of a factor on the readings, if there is one."""
     if (entry := reader.raw("scale")) is None:
         return None
-    scale_reader = TableReader(f"{reader.place}: scale", entry, reader.faults, INPUT_SCALE)
-    scale: Prior | None = scale_reader.read("prior")
-    scale_reader.finish()
+    place = f"{reader.place}: scale"
+    scale_reader, (scale,) = read_all("experiment.input.scale", place, entry, reader.faults)
     if scale is not None and scale.mean <= 0.0:
         scale_reader.wrong("prior", "must have a mean > 0")
-    return scale
+    return cast("Prior | None", scale)
 
 
 def _with_suspicion(entry: MeasuredInput, case: Case) -> MeasuredInput:

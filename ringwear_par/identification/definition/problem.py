@@ -110,8 +110,8 @@ class FittedParameter:
         """Return the value of an unknown, within the bounds to the last bit."""
         low, high = self.bounds
         if self.log:  # an exponential may overflow
-            beyond = np.log(self.bounds) + np.array([-1.0, 1.0])
-            unknown = np.exp(np.clip(unknown, *beyond))
+            at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
+            unknown = float(np.exp(at))
         return min(max(float(unknown), low), high)
 
     def slope(self, value: float) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.files.text import shortened
@@ -20,7 +20,7 @@ from ringwear_par.identification.definition.problem import (
     Scatter,
     body_of_wear,
 )
-from ringwear_par.identification.definition.schema import PROCESS, SCATTER
+from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
 from ringwear_par.studies.variations import unnested
 
 #: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
@@ -53,7 +53,7 @@ def read_scatter(
         )
         return None
     table = value if isinstance(value, Mapping) else {"specimen": value}
-    reader = TableReader(f"{place}.scatter", table, faults, SCATTER)
+    reader = reader_of("fit.parameters.KEY.scatter", f"{place}.scatter", table, faults)
     before = len(faults)
     size_unit = "1" if log else unit
     read = {group: reader.read(group, unit=size_unit) for group in GROUPS}
@@ -129,7 +129,7 @@ def read_process(place: str, table: Any, faults: list[str]) -> dict[str, Process
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table of wear.lower, wear.upper")
         return {}
-    entries = unnested(table, PROCESS.keys())
+    entries = unnested(table, keys_of("fit.process.KEY").keys())
     name_unknown_keys(place, entries, _RANDOM, faults, table="fit.process")
     noises = {
         key: _read_noise(f"{place}.{key}", entries[key], faults)
@@ -145,9 +145,8 @@ def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | Non
         rule = 'must be "fit", or a table of size or share, and prior'
         faults.append(f"{place} = {shortened(value)}: {rule}")
         return None
-    reader = TableReader(place, {"size": "fit"} if value == "fit" else value, faults, PROCESS)
-    size, share, scale = (reader.read(name) for name in PROCESS)
-    reader.finish()
+    table = {"size": "fit"} if value == "fit" else value
+    reader, (size, share, scale) = read_all("fit.process.KEY", place, table, faults)
     if len(faults) == before and (size is None) == (share is None):
         reader.fault("must have one of size and share", code="missing")
     if scale is not None and size != "fit":

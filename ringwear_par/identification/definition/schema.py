@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.tables import Key, file_keys, keys_of_table
+from ringwear_par.cases.tables import Key, TableReader, file_keys, keys_of_table
 from ringwear_par.cases.values import (
     Reader,
     RejectedError,
@@ -257,7 +258,7 @@ KEYS: tuple[Key, ...] = (
         "own unit, or the data's), { relative = x } (share of the running median of the readings) "
         "or \"fit\", which estimates it"),
     Key("experiment.data.sd.relative", *number(0.0), "1",
-        "sd as a share of the running median of the readings", None),
+        "sd as a share of the running median of the readings"),
     Key("experiment.data.correlation_time", *number(0.0, ends=True), "s",
         "correlation time of the noise (AR(1)), at most 100 times the duration of the test; not "
         "for profiles",
@@ -331,16 +332,22 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-(
-    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, INPUT, INPUT_SCALE, DATA, SD, TESTS,
-    NUISANCE, THERMAL, THERMAL_TIME, DESIGN, VARY, BUDGET,
-) = (
-    keys_of_table(KEYS, table)
-    for table in (
-        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
-        "experiment", "experiment.input", "experiment.input.scale", "experiment.data",
-        "experiment.data.sd", "tests",
-        "experiment.data.nuisance.KIND", "experiment.data.nuisance.thermal",
-        "experiment.data.nuisance.thermal.time", "design", "design.vary", "design.budget",
-    )
-)  # fmt: skip
+
+
+@cache
+def keys_of(name: str) -> dict[str, Key]:
+    """Return the keys of a table by their names in it."""
+    return keys_of_table(KEYS, name)
+
+
+def reader_of(name: str, place: str, table: Any, faults: list[str]) -> TableReader:
+    """Return the reader of a table of this dotted name, see ``TableReader``."""
+    return TableReader(place, table, faults, keys_of(name))
+
+
+def read_all(name: str, place: str, table: Any, faults: list[str]) -> tuple[TableReader, list[Any]]:
+    """Return the reader of a table of this dotted name, and all its values in its keys' order."""
+    reader = reader_of(name, place, table, faults)
+    values = [reader.read(key) for key in keys_of(name)]
+    reader.finish()
+    return reader, values

@@ -26,13 +26,7 @@ from ringwear_par.identification.definition.problem import (
     friction_power,
 )
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.identification.definition.schema import (
-    DATA,
-    DENSITIES,
-    NUISANCE,
-    THERMAL,
-    THERMAL_TIME,
-)
+from ringwear_par.identification.definition.schema import DENSITIES, read_all, reader_of
 
 #: largest correlation time, in lengths of the test: noise correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
@@ -57,7 +51,7 @@ def read_series(
     plans: bool = False,
 ) -> Series | None:
     """Return the readings of one table, or add its faults; a case that has some itself is None."""
-    before, reader = len(faults), TableReader(place, table, faults, DATA)
+    before, reader = len(faults), reader_of("experiment.data", place, table, faults)
     if (quantity := reader.read("quantity")) is None:
         return None
     kind, _, body = quantity.partition(".")
@@ -176,24 +170,21 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
         else:
             nuisances.append(_nuisance(place, name, entry, reader.faults))
         if name == "compliance" and case is not None and case.load.force is None:
-            TableReader(place, {}, reader.faults, NUISANCE).fault(
-                'needs load.control = "force"', code="conflict"
-            )
+            reader.fault(f'nuisance.{name} needs load.control = "force"', "nuisance", "conflict")
     return tuple(nuisances)
 
 
 def _nuisance(
     place: str, kind: str, entry: Any, faults: list[str], *, power: bool = False
 ) -> Nuisance:
-    reader = TableReader(place, entry, faults, NUISANCE)
-    bounds, prior = reader.read("bounds"), reader.read("prior")
-    reader.finish()
+    _, (prior, bounds) = read_all("experiment.data.nuisance.KIND", place, entry, faults)
     return Nuisance(kind, prior, bounds, power=power)
 
 
 def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> list[Nuisance]:
     """Return the growth of a warm rig, and its time constant, s."""
-    before, reader = len(faults), TableReader(place, entry, faults, THERMAL)
+    before = len(faults)
+    reader = reader_of("experiment.data.nuisance.thermal", place, entry, faults)
     power, amplitude = reader.read("power"), reader.raw("amplitude", {})
     grown = _nuisance(f"{place}.amplitude", "thermal", amplitude, faults, power=power)
     if power and case is not None and case.load.force is None:
@@ -201,9 +192,8 @@ def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> lis
     elif power and case is not None and not friction_power(case)[1].any():
         rule = "needs friction power, mu F omega > 0, at some time of the test"
         reader.wrong("power", rule, "conflict")
-    time = TableReader(f"{place}.time", reader.raw("time", {}), faults, THERMAL_TIME)
-    start, prior, bounds = (time.read(name) for name in ("start", "prior", "bounds"))
-    time.finish()
+    table, name = reader.raw("time", {}), "experiment.data.nuisance.thermal.time"
+    time, (start, prior, bounds) = read_all(name, f"{place}.time", table, faults)
     reader.finish()
     if len(faults) > before:
         return []
