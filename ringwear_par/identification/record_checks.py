@@ -7,10 +7,11 @@ from scipy.stats import f as f_distribution
 from scipy.stats import qmc
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import InputError, legible
+from ringwear_par.cases.case import Case
+from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.identification.histories import HistoryError, Readings, cases_at
+from ringwear_par.identification.histories import Readings, cases_at
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import Setting
 
@@ -89,7 +90,7 @@ def _refuse_bounds(problem: Problem) -> None:
     points = low + (high - low) * qmc.Sobol(len(low), seed=0).random(_TRIED)
     values = np.array([problem.values(x) for x in points])
     found = cases_at(problem.experiments[0].case, problem.keys, values)
-    reasons = [str(entry) for entry in found if isinstance(entry, HistoryError)]
+    reasons = [reason_of(entry) for entry in found if not isinstance(entry, Case)]
     if len(reasons) == _TRIED:
         raise InputError(f"{problem.name}: bounds leave no values that are a case: {reasons[0]}")
 

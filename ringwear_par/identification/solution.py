@@ -13,10 +13,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
-from ringwear_par.identification.histories import HistoryError, Readings, cases_at
+from ringwear_par.identification.histories import Readings, cases_at
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.posterior import Layout, Posterior
@@ -261,7 +262,7 @@ class _Search:
         x, good = self._layout.of_tests(self._draws[rows]), np.ones(count, dtype=bool)
         for i, test in enumerate(problem.experiments):
             found = cases_at(test.case, problem.keys, np.array([*map(problem.values, x[:, i])]))
-            good &= [not isinstance(case, HistoryError) for case in found]
+            good &= [isinstance(case, Case) for case in found]
         self._draws, self._density = self._draws[rows[good]], self._density[rows[good]]
 
 

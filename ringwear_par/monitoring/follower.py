@@ -35,7 +35,7 @@ from ringwear_par.identification.likelihood import (
     TestLikelihood,
 )
 from ringwear_par.identification.noise import Setting
-from ringwear_par.identification.readings import TimeInterpolation
+from ringwear_par.identification.readings import interpolation
 from ringwear_par.identification.setting import needs_middle, settings_at
 
 #: histories that polynomials are made of, for each fitted key and most; margin of their box
@@ -115,7 +115,7 @@ class Histories:
         for series in test.series:
             part = parts[series.name]
             if series.timed:
-                part = TimeInterpolation(self.time, series.x, breaks)(part)
+                part = interpolation(self.time, series.x, breaks) @ part
             readings.append(part)
         return np.concatenate(readings)
 

@@ -14,7 +14,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.noise import coloured, log_volumes, whitened
-from ringwear_par.identification.readings import TimeInterpolation, growth, nuisance_columns
+from ringwear_par.identification.readings import growth, interpolation, nuisance_columns
 
 
 def readings_of(problem, *values, **how):
@@ -33,7 +33,7 @@ def test_readings_between_steps_do_not_round_a_kink():
         return np.where(t <= 40.0, 1 - np.exp(-t / 5), 3 - np.exp(-8.0) - np.exp(-(t - 40) / 5))
 
     at = np.setdiff1d(np.linspace(0.1, 100.0, 400), [40.0005])
-    read = TimeInterpolation(time, at, breaks)(exact(time)[:, None])[:, 0]
+    read = interpolation(time, at, breaks) @ exact(time)
     assert np.abs(read - exact(at)).max() < 1e-4
 
 

@@ -232,7 +232,7 @@ class Series:
     @property
     def timed(self) -> bool:
         """Whether it is read at times; a profile and the end of a layer are of all the history."""
-        return READING_KINDS[self.kind].values is not None
+        return READING_KINDS[self.kind].variable is not None
 
     @property
     def body(self) -> Literal["lower", "upper"]:
