@@ -109,7 +109,7 @@ def _result(solution: Solution) -> FitResult:
         fitted_test(likelihood, best[i], x[some, i], solution.depths, random)
         for i, likelihood in enumerate(posterior.likelihoods)
     )
-    shares = np.median(posterior.shares(solution.theta, posterior.known), axis=0)
+    shares = np.median(posterior.shares(solution.theta), axis=0)
     slopes = [
         scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
         for i, likelihood in enumerate(posterior.likelihoods)
@@ -140,7 +140,7 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
     rows = (CHAINS * states + np.arange(CHAINS)[:, None]).ravel()
     theta = solution.theta[rows]
     sizes = np.zeros((len(rows), len(BODIES)))
-    shares = posterior.shares(theta, posterior.known)
+    shares = posterior.shares(theta)
     for place, (key, process) in enumerate(problem.settings.process.items()):
         found = shares[:, place] ** 2 * solution.depths[place]
         sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
@@ -151,8 +151,8 @@ def _draws(solution: Solution, material: FloatArray) -> tuple[Draws, FloatArray]
         bounds=np.array([p.bounds for p in problem.parameters], dtype=float),
         material=material[rows], tests=posterior.of_tests(theta),
         scatter={
-            (problem.keys[s.key], level): s.size(theta, number)
-            for s in posterior.scatterings for number, level in enumerate(s.levels)
+            (problem.keys[s.key], level): size(theta)
+            for s in posterior.scatterings for level, size in s.levels.items()
         },
         process=sizes,
         specimens=tuple(test.groups[0] for test in problem.experiments),

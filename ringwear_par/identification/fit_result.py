@@ -105,8 +105,7 @@ class FitResult(Outcome):
         Nuisances and fitted noise are integrated out, as in the posterior.
         """
         posterior, best = self.solution.posterior, self.solution.best[None]
-        shares = posterior.shares(best, posterior.known)
-        log_p = float(posterior.of_readings(posterior.of_tests(best), shares)[0])
+        log_p = float(posterior.of_readings(best)[0])
         return 2.0 * posterior.dimension - 2.0 * log_p
 
     @cached_property

@@ -28,7 +28,7 @@ from ringwear_par.identification.noise import (
 )
 
 #: logarithms of the least and the largest share of random wear
-LOG_SHARES = np.log([1e-3, 1.0])
+LOG_SHARES = (float(np.log(1e-3)), 0.0)
 #: nodes of each share by the number of bodies whose share is fitted
 _SHARE_NODES = {0: 1, 1: 24, 2: 20}
 #: growth times whose log likelihood is less than the largest by more count nowhere; points that
@@ -180,12 +180,18 @@ class EmulatedLikelihood:
     ----------
     likelihood : of the test.
     emulator : of its readings.
+    fitted : numbers of the bodies whose share of random wear differs between draws; None: of all.
     """
 
-    def __init__(self, likelihood: TestLikelihood, emulator: Emulator) -> None:
+    def __init__(
+        self,
+        likelihood: TestLikelihood,
+        emulator: Emulator,
+        fitted: Sequence[int] | None = None,
+    ) -> None:
         self.likelihood, self.emulator = likelihood, emulator
-        known = likelihood.setting.shares if likelihood.setting.clocks else np.zeros(0)
-        self._fitted = np.flatnonzero(np.isnan(known))
+        bodies = range(len(likelihood.setting.clocks))
+        self._fitted = [i for i in bodies if fitted is None or i in fitted]
         self._count = _SHARE_NODES[len(self._fitted)]
         at, (low, high) = np.cos(np.pi * (np.arange(self._count) + 0.5) / self._count), LOG_SHARES
         weights = np.ones((1, 1))

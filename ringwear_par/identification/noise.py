@@ -7,7 +7,7 @@ each of which the growth takes one direction out of the squares.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -95,21 +95,14 @@ class Setting:
     #: (n,) each, of each body whose wear is random: how readings follow a factor on its rates, over
     #: its share of the largest depth of all tests; and that share
     clocks: tuple[tuple[FloatArray, FloatArray], ...] = ()
-    #: (bodies,) share of random wear that is known; NaN where it is fitted
-    shares: FloatArray = field(default_factory=lambda: np.zeros(0))
     #: (n,) each: what the readings gain by one sd of the calibration of each measured input
     scales: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def before(cls, test: Experiment, loss: Loss = "gaussian", bodies: int = 0) -> "Setting":
-        """Return the setting before any draws, when readings may be outliers.
-
-        Parameters
-        ----------
-        bodies : number of bodies whose wear is random.
-        """
+    def before(cls, test: Experiment, loss: Loss = "gaussian") -> "Setting":
+        """Return the setting before any draws, when readings may be outliers."""
         sd = np.concatenate([series.sd for series in test.series]) * (1.0 + (loss == "student"))
-        return cls(sd, np.zeros(test.n), shares=np.full(bodies, np.nan))
+        return cls(sd, np.zeros(test.n))
 
 
 def _prior(nuisance: Nuisance, widest: float) -> tuple[float, float]:

@@ -73,7 +73,7 @@ class Histories:
         bodies, count = len(problem.settings.process), min(_HISTORIES * x.shape[1], _MOST_HISTORIES)
         plan, middle = _plan(problem), np.median(x, axis=0)[None]
         readings.problem = replace(problem, experiments=(plan,))
-        settings = [Setting.before(plan, bodies=bodies)]
+        settings = [Setting.before(plan)]
         if needs_middle(readings.problem):
             shares = np.full(bodies, _TYPICAL_SHARE)
             settings = settings_at(readings, settings, middle, shares)
@@ -133,7 +133,7 @@ class Histories:
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
         scales = tuple(self.read(self._by_series(scale), test) for scale in self.setting.scales)
-        before = Setting.before(test, "student" if outliers else "gaussian", len(clocks))
+        before = Setting.before(test, "student" if outliers else "gaussian")
         return replace(before, clocks=tuple(clocks), scales=scales)
 
 
