@@ -76,7 +76,7 @@ def fitted_test(
         if series.censored is None:
             off[part] = whitened(series, off[part])
     squares = likelihood.least_squares(np.concatenate([at_best, readings]))
-    freedom = [noise.freedom - growth.free for noise, growth in likelihood.noises]
+    freedom = [noise.freedom for noise in likelihood.noises]
     given = [not any(test.series[i].sd_fitted for i in part) for part in likelihood.parts]
     return FittedTest(
         test, likelihood.data, sd, model[0], models.std(axis=0), off, sides(test),
@@ -97,7 +97,7 @@ def _with_all(
     models, clocks = readings + added, likelihood.setting.clocks
     if not clocks:
         return models, np.zeros((*models.shape, 0)), values, times
-    ((noise, _),) = likelihood.noises
+    (noise,) = likelihood.noises
     worn = noise.random_wear((likelihood.data - models).T, random).T
     felt = np.stack([slope for slope, _ in clocks], axis=1)
     return models + (worn * felt).sum(axis=2), worn, values, times

@@ -206,9 +206,9 @@ class Readings:
             columns, of_part = part.columns, np.array(part.numbers)
             for number, reason in zip(part.numbers, columns.reason, strict=True):
                 rows[number] = reason
-            for test in np.unique(owners[of_part]).tolist():
-                good = np.array(columns.status) == "done"
-                places = np.flatnonzero(good & (owners[of_part] == test))
+            done = np.flatnonzero(np.array(columns.status) == "done")
+            for test in np.unique(owners[of_part[done]]).tolist():
+                places = done[owners[of_part[done]] == test]
                 at = columns.offsets[places, None] + np.arange(len(grids[test]) + 1)
                 data = {name: values[at] for name, values in columns.data.items()}
                 numbers = of_part[places].tolist()

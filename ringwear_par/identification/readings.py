@@ -1,4 +1,4 @@
-"""What instruments would read of histories: the model of each series, and its nuisances.
+"""What instruments would read of histories: the model of each series.
 
 Readings lie between steps: splines in time over them, and over the contact elements in radius, cost
 no contact solution. Where a schedule bends, one spline ends and another begins.
@@ -13,14 +13,8 @@ from scipy.interpolate import CubicSpline
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.problem import (
-    Experiment,
-    Nuisance,
-    Series,
-    friction_power,
-)
+from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.schedules import in_time
 
 #: share of a segment's length within which steps are equal; beyond it their logarithms are
 _EARLY = 5e-4
@@ -100,46 +94,6 @@ def _radial(series: Series, case: Case) -> FloatArray:
     weights = np.zeros((series.n, len(mid_points)))
     weights[inside] = CubicSpline(mid_points, np.eye(len(mid_points)))(r)
     return weights
-
-
-def growth(nuisance: Nuisance, case: Case, t: FloatArray, time: float) -> FloatArray:
-    """Return the share of its growth that a warm rig has at t (n,) s.
-
-    It is cold at first, and follows its heat by time g' = heat - g (s): a step of it at the start,
-    and each change of its slope. The heat is 1, or goes with the friction power where the nuisance
-    has ``power``.
-    """
-    starts, heat = friction_power(case) if nuisance.power else (np.zeros(1), np.ones(1))
-    heat = heat / heat.max()
-    slopes = np.diff(np.append(np.diff(heat) / np.diff(starts), 0.0), prepend=0.0)
-    grown = -heat[0] * np.expm1(-t / time)
-    for start, slope in zip(starts, slopes, strict=True):
-        since = np.maximum(t - start, 0.0)
-        grown = grown + slope * (since + time * np.expm1(-since / time))
-    return grown
-
-
-def nuisance_columns(series: Series, case: Case) -> FloatArray:
-    """Return (n, nuisances) what a unit of each linear nuisance adds to readings of a series.
-
-    The offset and the level are constant; the drift grows to 1 at the end of the test; the
-    compliance goes with the load in kN (of a penetration with its change since the start); the tilt
-    with the distance in mm from the middle of the contact.
-    """
-    columns = []
-    for nuisance in series.linear_nuisances:
-        if nuisance.kind == "drift":
-            column = series.x / case.time.end
-        elif nuisance.kind == "compliance":
-            assert case.load.force is not None
-            start = 0.0 if series.quantity == "approach" else in_time(case.load.force, 0.0)
-            column = 1e-3 * (in_time(case.load.force, series.x) - start)
-        elif nuisance.kind == "tilt":
-            column = series.x - 0.5 * sum(case.contact)
-        else:
-            column = np.ones(series.n)
-        columns.append(series.factor * column)
-    return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
 
 
 def times_through(

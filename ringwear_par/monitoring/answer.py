@@ -259,8 +259,8 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     if new == 0 or square <= 0.0:
         return 1.0
     freedom = [
-        noise.freedom - growth.free - follower.m
-        for part, (noise, growth) in zip(old.parts, old.noises, strict=True)
+        noise.freedom - follower.m
+        for part, noise in zip(old.parts, old.noises, strict=True)
         if before.test.series[part[0]].sd_fitted
     ]
     if freedom:
@@ -275,13 +275,14 @@ def _least_squares(follower: Follower, likelihood: TestLikelihood, specimen: Spe
     readings = follower.histories.read(follower.histories.parts, test) @ some.v.T
     off = some.unknowns[:, : follower.m] - known.mean(axis=0)
     total = ((off @ np.linalg.inv(np.atleast_2d(np.cov(known.T)))) * off).sum(axis=1)
-    for noise, growth in likelihood.noises:
+    for noise in likelihood.noises:
         rest = noise.data(likelihood.data[noise.rows])[:, None] - readings[noise.rows]
-        squares = growth.squares(noise(rest))
-        for i, times in zip(growth.series, growth.times.T, strict=True):
-            time = test.series[i].growth_time
+        squares = noise.squares(rest)
+        for i, kind in noise.nuisances.owners:
+            time = test.series[i].growth_time if kind == "thermal" else None
             if time is not None and time.prior is not None:
-                squares += np.square((times - time.prior.mean) / time.prior.sd)[:, None]
+                off = (noise.nuisances.times - time.prior.mean) / time.prior.sd
+                squares += np.square(off)[:, None]
         total += squares.min(axis=0)
     return float(total.min())
 
@@ -310,10 +311,9 @@ def time_to_goal(
     for time in at:
         information, part = before, part_of(planned, planned.times <= time * (1.0 + 1e-9))
         jacobian = histories.read(by_key, part)
-        for noise, growth in follower.likelihood_like(specimen, part).noises:
-            white = noise(jacobian[noise.rows])
-            taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
-            information = information + white.T @ white - taken.T @ taken
+        for noise in follower.likelihood_like(specimen, part).noises:
+            middle = len(noise.nuisances.times) // 2
+            information = information + noise.grams(jacobian[noise.rows], np.zeros(m), middle)
         sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
     less = np.minimum.accumulate(sds) / sds[0]
     reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
@@ -339,14 +339,13 @@ def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
     time, approach = histories.time, histories.parts["approach"]
     depths, old = v @ (approach - approach[0]).T, specimen.likelihood.likelihood
     for body, (slope, worn) in enumerate(old.setting.clocks):
-        ((noise, growth),), share, most = old.noises, specimen.shares[body], follower.most[body]
+        (noise,), share, most = old.noises, specimen.shares[body], follower.most[body]
         clock = histories.setting.clocks[body][1][: len(time)]
         readings = v @ histories.read(histories.parts, old.test).T
         node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
         across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
-        rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
-        taken = growth.directions(rows, np.repeat([0.0, 1.0], [len(time), len(v)]))[node]
-        along = rows[:, : len(time)].T @ rows - taken[:, : len(time)].T @ taken
+        rows = np.column_stack([across, noise.data(old.data)[:, None] - readings.T])
+        along = noise.grams(rows, np.repeat([0.0, 1.0], [len(time), len(v)]), node)[: len(time)]
         variance = (share * most) ** 2 * np.minimum.outer(clock, clock) - along[:, : len(time)]
         zero = np.zeros(len(time))
         depths += random.multivariate_normal(zero, variance, len(v), method="eigh")

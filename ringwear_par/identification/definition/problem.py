@@ -216,8 +216,8 @@ class Series:
 
     @property
     def linear_nuisances(self) -> "tuple[Nuisance, ...]":
-        """Its nuisances but for thermal growth."""
-        return tuple(n for n in self.nuisances if n.kind not in ("thermal", GROWTH_TIME))
+        """Its nuisances but for the time of thermal growth."""
+        return tuple(nuisance for nuisance in self.nuisances if nuisance.kind != GROWTH_TIME)
 
     @property
     def growth_time(self) -> "Nuisance | None":
