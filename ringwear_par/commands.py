@@ -189,12 +189,11 @@ def parser() -> argparse.ArgumentParser:
     a.path("--masses", metavar="M.csv", help="table of weighings, with record files")
     a = command(
         "fit", "fit parameters of the wear law to measurements, with confidence intervals",
-        "identification.fit_command:run_fit",
+        "identification.fit:run_fit",
         "ringwear fit fit.toml -o out/fit\n  ringwear fit fit.toml -o out/fit --dry-run",
         "solves")
     a.fit_file()
     a.flag("--dry-run", "print the intervals to expect if the starts are true; write nothing")
-    a.flag("--overwrite", "replace an outcome that is in DIR without a note")
     a.flag("--compare", "fit the laws of [compare] as well")
     a = command(
         "design", "choose the most informative next tests, from [design] of a fit file",

@@ -144,7 +144,7 @@ FAULTS = [
           "studies/test_sweep.py -k own_keys"),
     # fits, and plans of tests
     Fault("degrees of freedom", "identification/fit_result.py",
-          "for test in self.tests) - raised", "for test in self.tests)",
+          "float(freedom.sum()) - raised", "float(freedom.sum())",
           "identification/test_fit_truths.py -k freedom"),
     Fault("points left out", "identification/emulator.py", "/ (1.0 - leverage)[:, None]", "",
           "identification/test_emulator.py"),

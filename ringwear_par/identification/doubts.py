@@ -16,7 +16,7 @@ from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fitted_tests import FittedTest
+from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
@@ -76,31 +76,28 @@ def of_computation(solution: Solution) -> list[Check]:
     ]
 
 
-def of_squares(squares: float, freedom: float, p_value: float | None) -> list[Check]:
+def of_squares(goodness: Mapping[str, Any]) -> list[Check]:
     """Return what tells whether the model fits all readings; nothing without a p-value."""
-    if p_value is None:
+    if (p := goodness["p_value"]) is None:
         return []
     text = (
-        f"the model does not fit: chi2 = {squares:.4g} of {freedom:.4g} degrees of "
-        f"freedom (p = {p_value:.1g}); the noise is larger than its sd, or the wear law is "
-        "another"
+        f"the model does not fit: chi2 = {goodness['chi2']:.4g} of "
+        f"{goodness['degrees_of_freedom']:.4g} degrees of freedom (p = {p:.1g}); the noise is "
+        "larger than its sd, or the wear law is another"
     )
-    fits = p_value >= IMPROBABLE
-    doubt = None if fits else ValidityWarning("does-not-fit", text)
-    return [Check("chi2: probability of one so large", p_value, IMPROBABLE, fits, doubt)]
+    doubt = ValidityWarning("does-not-fit", text) if goodness["flagged"] else None
+    return [Check("chi2: probability of one so large", p, IMPROBABLE, doubt is None, doubt)]
 
 
-def of_trends(tests: Sequence[FittedTest]) -> list[Check]:
+def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     """Return what tells whether the residuals of records are noise in time."""
     found = []
-    for test in tests:
-        for series, part in test.records:
-            values = test.censored[part] == 0.0
-            if not series.profile and values.any():
-                # noise that is given is no smaller than that
-                least = 0.0 if series.sd_fitted else 1.0
-                p = trend(test.residuals[part][values], len(series.nuisances), least)
-                found.append((-p, f"{series.name} ({test.experiment.name})", test.experiment.name))
+    for one in every:
+        if not one.series.profile and len(one.misfits):
+            # noise that is given is no smaller than that
+            least = 0.0 if one.series.sd_fitted else 1.0
+            p = trend(one.misfits, len(one.series.nuisances), least)
+            found.append((-p, one.title, one.test))
     if not found:
         return []
     text = (
@@ -112,44 +109,45 @@ def of_trends(tests: Sequence[FittedTest]) -> list[Check]:
     return [Check(name, least, _NO_NOISE, not doubt, *doubt)]
 
 
-def of_tests(problem: Problem, entries: Entries, information: FloatArray) -> list[Check]:
+def of_tests(
+    problem: Problem, entries: Entries, scores: FloatArray, information: FloatArray
+) -> list[Check]:
     """Return what tells whether tests agree on the key of a rate on which they agree least.
 
     Parameters
     ----------
-    information : (2, tests, m) slopes of log p of each test at the mode, minus its curvatures.
+    scores, information : (tests, m) slopes of log p of each test at the mode, minus its curvatures.
     """
     tests, found = problem.experiments, []
-    for parameter, score, a in zip(
-        problem.parameters, *np.moveaxis(information, 2, 1), strict=True
-    ):
+    for parameter, score, a in zip(problem.parameters, scores.T, information.T, strict=True):
         key = parameter.key
         informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
         free = parameter.scatter is None and entries[key]["verdict"] == "identified"
         if len(informed) < 2 or not free or not key.startswith(_RATES):
             continue
-        conditions = [tests[i].conditions for i in informed]
-        _, equal = np.unique(conditions, return_inverse=True)
-        of, spread = "equal", heterogeneity(score[informed], a[informed], equal)
+        score, a = score[informed], a[informed]
+        _, equal = np.unique([tests[i].conditions for i in informed], return_inverse=True)
+        of, more, spread = "equal", "", heterogeneity(score, a, equal)
         if spread[-1] >= _NO_CHANCE:
-            of, spread = "different", heterogeneity(score[informed], a[informed], 0 * equal)
+            of, more, spread = "different", ", or another law", heterogeneity(score, a, 0 * equal)
         q, freedom, scatter, p = spread
-        more = ", or another law" * (of == "different")
-        own = float(np.median(a[informed] ** -0.5))
-        unit = "" if parameter.log else unit_of_key(problem, key)
-        sizes = [f"{100 * v:.2g} %" if parameter.log else f"{v:.2g}{unit}" for v in (scatter, own)]
+        own, times, unit = float(np.median(a**-0.5)), 1.0, unit_of_key(problem, key)
+        if parameter.log:
+            times, unit = 100.0, " %"
         text = (
-            f"{key} scatters between tests of {of} conditions by {sizes[0]} (DerSimonian-Laird), "
-            f'but the readings explain only {sizes[1]}: use scatter = "fit"{more}'
+            f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
+            f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "
+            f'scatter = "fit"{more}'
         )
         values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
         names = tuple(tests[i].name for i in informed)
         doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
-        agree = p >= _NO_CHANCE
-        name = f"tests agree on {key}: probability"
-        found.append((q, Check(name, p, _NO_CHANCE, agree, None if agree else doubt)))
+        found.append((q, key, p, None if p >= _NO_CHANCE else doubt))
+    if not found:
+        return []
     # one that scatters makes the others look as if they did
-    return [max(found, key=lambda one: one[0])[1]] if found else []
+    _, key, p, doubt = max(found, key=lambda one: one[0])
+    return [Check(f"tests agree on {key}: probability", p, _NO_CHANCE, doubt is None, doubt)]
 
 
 def heterogeneity(
@@ -182,11 +180,13 @@ def _together(
 
 def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
     """Yield doubts about keys that are not identified, or only by the bound of another."""
-    lost = [key for key, entry in entries.items() if entry["verdict"] == "not identified"]
-    for words in dict.fromkeys(entries[key]["direction"] for key in lost):
-        keys = tuple(key for key in lost if entries[key]["direction"] == words)
+    lost = defaultdict(list)
+    for key, entry in entries.items():
+        if entry["verdict"] == "not identified":
+            lost[entry["direction"]].append(key)
+    for words, keys in lost.items():
         text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
-        yield ValidityWarning("not-identified", text, keys)
+        yield ValidityWarning("not-identified", text, tuple(keys))
     for key, entry in entries.items():
         for other in entry.get("conditional_on", ()):
             bound = entries[other]["bounds"][entries[other]["interval"][0] is not None]
@@ -223,24 +223,23 @@ def of_sizes(entries: Entries, process: Entries) -> Iterator[ValidityWarning]:
             yield ValidityWarning("coarse-wear", text, (key,))
 
 
-def of_readings(tests: Sequence[FittedTest]) -> list[ValidityWarning]:
+def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     """Return doubts about single readings, and about growth that may be drift."""
     outliers, alike = [], []
-    for test in tests:
-        for number, (series, part) in enumerate(test.records):
-            residuals, name = test.residuals[part], f"{series.name} ({test.experiment.name})"
-            far = np.where(test.censored[part] * residuals < 0.0, 0.0, np.abs(residuals))
-            out = far[far > _FAR]  # but for limits that hold
-            few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
-            if len(out) and few and not series.sd_fitted:
-                axis, unit = ("r", "mm") if series.profile else ("time", "s")
-                at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
-                outliers.append((float(far.max()), name + at, test.experiment.name))
-            flat = {n.kind for n in series.nuisances if n.prior is None}
-            if number in test.growth_times and {"drift", "thermal"} <= flat:
-                lengths = float(series.x.max() / np.median(test.growth_times[number]))
-                if lengths < _ALIKE:
-                    alike.append((-lengths, name, test.experiment.name))
+    for one in every:
+        series, residuals = one.series, one.residuals
+        far = np.where(one.censored * residuals < 0.0, 0.0, np.abs(residuals))
+        out = far[far > _FAR]  # but for limits that hold
+        few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
+        if len(out) and few and not series.sd_fitted:
+            axis, unit = ("r", "mm") if series.profile else ("time", "s")
+            at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
+            outliers.append((float(far.max()), one.title + at, one.test))
+        flat = {n.kind for n in series.nuisances if n.prior is None}
+        if (growth := series.growth_time) and {"drift", "thermal"} <= flat:
+            lengths = float(series.x.max() / np.median(one.nuisances[growth.kind]))
+            if lengths < _ALIKE:
+                alike.append((-lengths, one.title, one.test))
     far_off = (
         "up to {:.3g} sd off the model: check units, and the side of limits; exclude leaves out an "
         "edge or a stop"

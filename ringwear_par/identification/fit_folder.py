@@ -1,8 +1,7 @@
-"""The folder of a fit: its outcome, its draws and readings, its figures, each there once whole."""
+"""The files of a fit: its readings with the model, its draws, and its figures."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,136 +11,114 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files import folders
-from ringwear_par.identification.definition.problem import BASE, Problem, Series, body_of_wear
+from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.draws import Draws, write_draws
-from ringwear_par.identification.fitted_tests import FittedTest, readings_of_draws
+from ringwear_par.identification.fitted_tests import FittedSeries, readings_of_draws
 from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.panel import Panel
-from ringwear_par.pictures.style import STYLE, NotebookFigure, picture
+from ringwear_par.pictures.style import STYLE, NotebookFigure
 from ringwear_par.results.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 
-FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,
-         folders.SPECIMENS)  # fmt: skip
 #: most columns of series; inches of readings with their residuals, and of a legend above all
 _COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
 #: inches of the strip of single readings: height of a row, margin around them, least width
 _ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
-def save(
-    folder: Path,
-    outcome: Mapping[str, Any],
-    problem: Problem,
-    draws: Draws,
-    tests: Sequence[FittedTest],
-    likelihoods: Sequence[EmulatedLikelihood],
+def write_readings(
+    path: Path, problem: Problem, every: Sequence[FittedSeries], versions: Mapping[str, str]
 ) -> None:
-    """Write all files; fit.json, the outcome, which says that it is whole, the last. On one rank.
-
-    A picture that cannot be drawn is left out, with a warning.
-    """
-    drawn: dict[str, Callable[[], Figure]] = {
-        folders.CURVES: lambda: figure_of_readings(tests, outcome["level"]),
-        folders.ESTIMATES: lambda: figure_of_keys(outcome, draws),
-        folders.SPECIMENS: lambda: figure_of_specimens(outcome),
-    }
-    with folders.new_files(folder, FILES, "fit"):
-        with atomic_hdf5(folder / folders.READINGS) as file:
-            file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
-                               **outcome["versions"]})  # fmt: skip
-            _write_readings(file, problem, tests)
-        _write_draws(folder / folders.POSTERIOR, outcome["versions"], draws, tests, likelihoods)
-        if not problem.scatters:
-            del drawn[folders.SPECIMENS]
-            (folder / folders.SPECIMENS).unlink(missing_ok=True)
-        contents = {n: partial(picture, draw, str(folder / n)) for n, draw in drawn.items()}
-        last = {folders.FIT: lambda: folders.json_bytes(outcome)}
-        folders.write_contents(folder, {**contents, **last})
+    """Write results.h5: the series of all tests, and their measured inputs. On one rank."""
+    bodies = [body_of_wear(key) for key in problem.settings.process]
+    with atomic_hdf5(path) as file:
+        file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
+                           **versions})  # fmt: skip
+        for number, one in enumerate(every, start=1):
+            name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
+            _write_series(file.create_group(name), one, bodies)
+        inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
+        for number, (experiment, measured) in enumerate(inputs, start=1):
+            group, unit = file.create_group(f"inputs/{number}"), measured.unit
+            group.attrs.update(experiment=experiment.name, key=measured.key, unit=unit)
+            time, curve = measured.series.x, measured.curve(experiment.case)
+            _put(group, [
+                ("time", time, "s", "time"),
+                ("data", measured.readings(experiment.case), unit,
+                 "reading, in the unit of the key"),
+                ("curve", curve(time), unit, "the case's value"),
+            ])  # fmt: skip
 
 
-def _write_draws(
+def write_posterior(
     path: Path,
-    versions: Mapping[str, str],
     draws: Draws,
-    tests: Sequence[FittedTest],
+    every: Sequence[FittedSeries],
     likelihoods: Sequence[EmulatedLikelihood],
+    versions: Mapping[str, str],
 ) -> None:
-    """Write draws.nc, with replicas of the readings of each draw and log likelihoods."""
+    """Write draws.nc: draws, replicas of the readings by each, and log likelihoods. On one rank."""
     random = np.random.default_rng(0)
-    parts = [
+    logs, replicas = zip(*(
         readings_of_draws(likelihood, draws.tests[:, i], random)
         for i, likelihood in enumerate(likelihoods)
-    ]
-    logs, replicas = (np.hstack(columns) for columns in zip(*parts, strict=True))
+    ), strict=True)  # fmt: skip
     readings = {
-        "observed_data": np.concatenate([test.data for test in tests]),
-        "posterior_predictive": replicas, "log_likelihood": logs,
+        "observed_data": np.concatenate([one.series.value for one in every]),
+        "posterior_predictive": np.hstack(replicas), "log_likelihood": np.hstack(logs),
     }  # fmt: skip
-    places: dict[str, list[Any]] = {"test": [], "series": [], "at": []}
-    for test in tests:
-        for series, _ in test.records:
-            places["test"] += [test.experiment.name] * series.n
-            places["series"] += [series.name] * series.n
-            places["at"] += series.x.tolist()
+    places = {
+        "test": [one.test for one in every for _ in one.series.x],
+        "series": [one.series.name for one in every for _ in one.series.x],
+        "at": [x for one in every for x in one.series.x.tolist()],
+    }
     write_draws(path, draws, versions, places, readings)
 
 
-def _write_readings(file: h5py.File, problem: Problem, tests: Sequence[FittedTest]) -> None:
-    """Write data, model, bands and residuals of each series, and the measured inputs."""
-    records = [(test, *record) for test in tests for record in test.records]
-    for number, (test, series, part) in enumerate(records, start=1):
-        group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
-        group.attrs.update(
-            experiment=test.experiment.name, series=series.name, quantity=series.quantity,
-            file=series.file, data_unit=series.unit, contact=test.experiment.case.contact,
-        )  # fmt: skip
-        base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
-        put = partial(_put, group)
-        put(at[0], series.x, at[1], "where or when it was read")
-        put("data", series.value, base, "what was read")
-        put("sd", test.sd[part], base, "noise of the data")
-        meaning = "the model's reading, with nuisances and random wear"
-        put("model", test.model[part], base, meaning)
-        put("band", test.band[part], base, "sd of the model's reading")
-        put("residual", test.residuals[part], "1", "data less model over its noise, white")
-        for body, key in enumerate(problem.settings.process):
-            name = f"excess_{body_of_wear(key)}"
-            meaning = "mean depth worn beyond that of the law, by the readings"
-            put(name, test.excess[part, body], "mm", meaning)
-            put(f"{name}_sd", test.excess_sd[part, body], "mm", f"sd of {name}")
-        if test.censored[part].any():
-            meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-            put("censored", test.censored[part], "1", meaning)
-    inputs = [(test, measured) for test in problem.experiments for measured in test.inputs]
-    for number, (experiment, measured) in enumerate(inputs, start=1):
-        group, time = file.create_group(f"inputs/{number}"), measured.series.x
-        group.attrs.update(experiment=experiment.name, key=measured.key, unit=measured.unit)
-        readings, curve = measured.readings(experiment.case), measured.curve(experiment.case)
-        _put(group, "time", time, "s", "time")
-        _put(group, "data", readings, measured.unit, "reading, in the unit of the key")
-        _put(group, "curve", curve(time), measured.unit, "the case's value")
+def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
+    """Write data, model, band and residuals of a series; ``bodies`` are those of random wear."""
+    series = one.series
+    group.attrs.update(
+        experiment=one.test, series=series.name, quantity=series.quantity,
+        file=series.file, data_unit=series.unit, contact=one.experiment.case.contact,
+    )  # fmt: skip
+    base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
+    columns = [
+        (at[0], series.x, at[1], "where or when it was read"),
+        ("data", series.value, base, "what was read"),
+        ("sd", one.sd, base, "noise of the data"),
+        ("model", one.model, base, "the model's reading, with nuisances and random wear"),
+        ("band", one.band, base, "sd of the model's reading"),
+        ("residual", one.residuals, "1", "data less model over its noise, white"),
+    ]
+    for body, excess, sd in zip(bodies, one.excess.T, one.excess_sd.T, strict=True):
+        meaning = "mean depth worn beyond that of the law, by the readings"
+        columns.append((f"excess_{body}", excess, "mm", meaning))
+        columns.append((f"excess_{body}_sd", sd, "mm", f"sd of excess_{body}"))
+    if one.censored.any():
+        meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+        columns.append(("censored", one.censored, "1", meaning))
+    _put(group, columns)
 
 
-def _put(group: h5py.Group, name: str, values: FloatArray, unit: str, meaning: str) -> None:
-    """Write a variable of the readings of a group."""
-    if "reading" not in group:
-        axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
-        write_variable(group, axis, np.arange(len(values)))
-    write_variable(group, Variable(name, ("reading",), unit, meaning), values)
+def _put(group: h5py.Group, columns: Sequence[tuple[str, FloatArray, str, str]]) -> None:
+    """Write name, values, unit and meaning of variables of the readings of a group."""
+    axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
+    write_variable(group, axis, np.arange(len(columns[0][1])))
+    for name, values, unit, meaning in columns:
+        write_variable(group, Variable(name, ("reading",), unit, meaning), values)
 
 
-def figure_of_readings(tests: Sequence[FittedTest], level: float) -> Figure:
+def figure_of_readings(every: Sequence[FittedSeries], level: float) -> Figure:
     """Return the figure of data, model, its band at a level, and residuals.
 
     Series of one reading, such as weighings, share a strip below: a line each.
     """
-    every = [drawn_series(test, *record, level) for test in tests for record in test.records]
-    curves = [series for series in every if len(series.x) > 1]
-    single = [series for series in every if len(series.x) == 1]
+    drawn = [one.drawn(level) for one in every]
+    curves = [series for series in drawn if len(series.x) > 1]
+    single = [series for series in drawn if len(series.x) == 1]
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
     rows: list[list[Panel]] = []
     for first in range(0, len(curves), across):
@@ -162,17 +139,6 @@ def figure_of_readings(tests: Sequence[FittedTest], level: float) -> Figure:
             panel_grid(place, panels, shares, legend=place is places[0])
         add_letters(chart)
     return chart
-
-
-def drawn_series(test: FittedTest, series: Series, part: slice, level: float) -> fit_panels.Series:
-    """Return a series with its model, in the unit of its readings."""
-    scale = 1.0 / series.factor
-    return fit_panels.Series(
-        test.experiment.name, series.name, series.quantity, series.unit, series.x,
-        scale * series.value, scale * test.model[part], scale * test.sd[part],
-        scale * test.band[part], test.residuals[part], level,
-        test.experiment.case.contact, test.censored[part].astype(int),
-    )  # fmt: skip
 
 
 def figure_of_keys(outcome: Mapping[str, Any], draws: Draws) -> Figure:

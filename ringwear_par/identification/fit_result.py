@@ -1,8 +1,8 @@
-"""The result of a fit: estimates with intervals, goodness of fit, what remains open."""
+"""The result of a fit: the numbers of fit.json, draws, and the tests as they were fitted."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,214 +11,264 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
+from ringwear_par.files import folders
 from ringwear_par.identification import doubts, fit_folder
-from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.doubts import IMPROBABLE, Check
-from ringwear_par.identification.draws import Draws
-from ringwear_par.identification.fitted_tests import FittedTest
+from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem, body_of_wear
+from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
+from ringwear_par.identification.fitted_tests import (
+    FittedSeries,
+    fitted_series,
+    scores_and_information,
+)
+from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.summary import summary
+from ringwear_par.pictures.style import picture
 from ringwear_par.results.result import Outcome
+from ringwear_par.version import versions
+
+#: files of its folder
+FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,
+         folders.SPECIMENS)  # fmt: skip
+#: draws of each chain that are kept; of all, how many tell bands and nuisances
+_KEPT, _BANDS = 500, 500
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class FitResult(Outcome):
-    """The outcome of a fit, with a fixed set of names in ``to_dict``.
+    """The outcome of a fit."""
 
-    Parameters
-    ----------
-    problem : with friction as torques tell it.
-    solution : draws by the sampler, with the emulators.
-    draws : of what the fit knows, in the order of chains.
-    parameters, process : of the fitted keys and of random wear, as fit.json has them.
-    tests : at the mode and among the draws.
-    information : (2, tests, m) slopes of log p of each test at the mode, and minus its curvatures.
-    versions : of the software.
-    alternatives : outcomes under other laws, by name.
-    failed : why there is no outcome under some other laws, by name.
-    """
-
+    #: with friction as torques tell it
     problem: Problem
+    #: draws by the sampler, with the emulators
     solution: Solution
+    #: of what the fit knows, in the order of chains
     draws: Draws
-    parameters: Mapping[str, dict[str, Any]]
-    process: Mapping[str, dict[str, Any]]
-    tests: tuple[FittedTest, ...]
-    information: FloatArray
-    versions: Mapping[str, str]
-    alternatives: "Mapping[str, FitResult]" = field(default_factory=dict)
-    failed: Mapping[str, str] = field(default_factory=dict)
+    #: of all tests, at the mode and among the draws
+    series: tuple[FittedSeries, ...]
+    #: what speaks against taking the numbers as they are
+    doubts: tuple[ValidityWarning, ...]
+    #: of fit.json
+    content: dict[str, Any]
 
     def __repr__(self) -> str:
         keys = self.parameters.items()
         estimates = (f"{key} = {e['estimate']:.3g} ({e['verdict']})" for key, e in keys)
-        return f"<FitResult: {', '.join(estimates)}; chi2 = {self.chi2:.4g} of {self.n} readings>"
+        squares, n = self.content["chi2"], self.content["n_data"]
+        return f"<FitResult: {', '.join(estimates)}; chi2 = {squares:.4g} of {n} readings>"
 
     @property
-    def n(self) -> int:
-        """Number of readings."""
-        return sum(len(test.data) for test in self.tests)
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squares at the mode, with those of priors: of all readings but mere limits.
-
-        Over the noise, and random wear where it is fitted; nuisances are at their best.
-        """
-        if self.problem.settings.loss == "student":  # the sd of outliers is larger in the others
-            return sum(float(np.square(t.residuals[t.censored == 0.0]).sum()) for t in self.tests)
-        return sum(float(test.squares[:, 0].sum()) for test in self.tests)
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of ``chi2``: readings less nuisances without priors, and keys.
-
-        These count by how much the draws raise the squares above those of the mode.
-        """
-        squares = np.sum([test.squares.sum(axis=0) for test in self.tests], axis=0)
-        raised = max(float(squares[1:].mean() - squares[0]), 0.0)
-        return max(sum(float(test.freedom.sum()) for test in self.tests) - raised, 0.0)
-
-    @cached_property
-    def p_value(self) -> float | None:
-        """How probable so large a sum of squares is by chance, of readings whose noise is given.
-
-        The mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384). None where all noise was
-        fitted, and under the loss "student", whose noise has long tails.
-        """
-        free = sum(float(test.freedom[test.given].sum()) for test in self.tests)
-        if self.problem.settings.loss == "student" or free < 1.0:
-            return None
-        squares = np.sum([test.squares[test.given, 1:].sum(axis=0) for test in self.tests], axis=0)
-        return float(chi2.sf(squares, free).mean())
-
-    @property
-    def flagged(self) -> bool:
-        """Whether the readings speak against the model."""
-        return self.p_value is not None and self.p_value < IMPROBABLE
-
-    @property
-    def aic(self) -> float:
-        """Akaike's information criterion at the mode, but for a constant of the readings.
-
-        Nuisances and fitted noise are integrated out, as in the posterior.
-        """
-        posterior, best = self.solution.posterior, self.solution.best[None]
-        log_p = float(posterior.of_readings(best)[0])
-        return 2.0 * posterior.dimension - 2.0 * log_p
-
-    @cached_property
-    def checks(self) -> tuple[Check, ...]:
-        """What was checked, the computation first."""
-        return (
-            *doubts.of_computation(self.solution),
-            *doubts.of_squares(self.chi2, self.freedom, self.p_value),
-            *doubts.of_trends(self.tests),
-            *doubts.of_tests(self.problem, self.parameters, self.information),
-        )
-
-    @cached_property
-    def doubts(self) -> tuple[ValidityWarning, ...]:
-        """What speaks against taking the numbers as they are."""
-        return (
-            *doubts.of_keys(self.parameters),
-            *(check.doubt for check in self.checks if check.doubt is not None),
-            *doubts.of_readings(self.tests),
-            *doubts.of_sizes(self.parameters, self.process),
-            *doubts.of_units(self.problem.experiments),
-        )
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """The numbers of each fitted key, as fit.json has them."""
+        entries: dict[str, dict[str, Any]] = self.content["parameters"]
+        return entries
 
     def summary(self) -> str:
         """Return it in a few lines, as the command prints it."""
-        return summary(self.problem.name, self.to_dict())
+        return summary(self.problem.name, self.content)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of fit.json."""
-        problem, solution = self.problem, self.solution
-        alternatives: dict[str, Any] = {n: law.to_dict() for n, law in self.alternatives.items()}
-        for law in alternatives.values():
-            del law["alternatives"], law["data"]
-        return {
-            "parameters": {key: dict(entry) for key, entry in self.parameters.items()},
-            "keys": [*problem.keys],
-            "covariance": np.atleast_2d(np.cov(self.draws.values(self.draws.material).T)).tolist(),
-            "level": problem.settings.level,
-            "chi2": self.chi2,
-            "n_data": self.n,
-            "degrees_of_freedom": self.freedom,
-            "p_value": self.p_value,
-            "flagged": self.flagged,
-            "aic": self.aic,
-            "evidence": solution.log_evidence,
-            "evidence_error": solution.evidence_error,
-            "specimens": len({test.groups[0] for test in problem.experiments}),
-            "process": {key: dict(entry) for key, entry in self.process.items()},
-            **_numbers_of_tests(self.tests),
-            "histories": solution.histories,
-            "failed_histories": solution.failed,
-            "steps": solution.steps,
-            "draws": {"effective": solution.effective, "stored": len(self.draws)},
-            "checks": [
-                {"name": name, "value": value if np.isfinite(value) else None, "limit": limit,
-                 "pass": passed}
-                for name, value, limit, passed, _ in self.checks
-            ],
-            "doubts": [doubt.to_dict() for doubt in self.doubts],
-            "warnings": [doubt.text for doubt in self.doubts],
-            "alternatives": alternatives | {n: {"error": why} for n, why in self.failed.items()},
-            "loss": problem.settings.loss,
-            "versions": dict(self.versions),
-            "data": dict(problem.hashes),
-        }  # fmt: skip
+        return dict(self.content)
 
     def save(self, path: str | Path) -> None:
-        """Write the files of its folder, see ``Outcome.save``."""
-        likelihoods, outcome = self.solution.posterior.likelihoods, self.to_dict()
-        fit_folder.save(Path(path), outcome, self.problem, self.draws, self.tests, likelihoods)
+        """Write the files of its folder, fit.json, which says that it is whole, the last.
+
+        A picture that cannot be drawn is left out, with a warning; see ``Outcome.save``.
+        """
+        folder, content, software = Path(path), self.content, self.content["versions"]
+        figures = {
+            folders.CURVES: self.plot,
+            folders.ESTIMATES: lambda: fit_folder.figure_of_keys(content, self.draws),
+            folders.SPECIMENS: lambda: fit_folder.figure_of_specimens(content),
+        }
+        contents: dict[str, Callable[[], bytes | None]] = {
+            n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()
+        }
+        if not self.problem.scatters:
+            contents[folders.SPECIMENS] = lambda: None
+        likelihoods = self.solution.posterior.likelihoods
+        readings, posterior = folder / folders.READINGS, folder / folders.POSTERIOR
+        with folders.new_files(folder, FILES, "fit"):
+            fit_folder.write_readings(readings, self.problem, self.series, software)
+            fit_folder.write_posterior(posterior, self.draws, self.series, likelihoods, software)
+            last = {folders.FIT: lambda: folders.json_bytes(content)}
+            folders.write_contents(folder, {**contents, **last})
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
-        return fit_folder.figure_of_readings(self.tests, self.problem.settings.level)
+        return fit_folder.figure_of_readings(self.series, self.content["level"])
 
 
-def _numbers_of_tests(tests: Sequence[FittedTest]) -> dict[str, dict[str, dict[str, Any]]]:
+def result_of(solution: Solution) -> FitResult:
+    """Return the result of a solution. On the first rank."""
+    problem, posterior = solution.problem, solution.posterior
+    random = np.random.default_rng(0)
+    x, best = posterior.of_tests(solution.theta), posterior.of_tests(solution.best)
+    material = posterior.material(solution.theta, random)
+    # states of the sampler follow one another, its walkers, a multiple of the chains, side by side
+    states = np.linspace(0, len(x) // CHAINS - 1, _KEPT).round().astype(int)
+    rows = (CHAINS * states + np.arange(CHAINS)[:, None]).ravel()
+    some = rows[:: max(1, len(rows) // _BANDS)]
+    draws = _draws(solution, rows, material[rows])
+    every, scales = list[FittedSeries](), list[FloatArray]()
+    for i, likelihood in enumerate(posterior.likelihoods):
+        series, drawn = fitted_series(likelihood, best[i], x[some, i], solution.depths, random)
+        every, scales = every + series, scales + drawn
+    shares = np.median(posterior.shares(solution.theta), axis=0)
+    scores, information = np.stack([
+        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
+        for i, likelihood in enumerate(posterior.likelihoods)
+    ], axis=1)  # fmt: skip
+    nuisances = {
+        f"{kind} of {one.title}": drawn
+        for one in every for kind, drawn in one.nuisances.items() if kind != GROWTH_TIME
+    }  # fmt: skip
+    own = np.maximum(information, 1e-300) ** -0.5
+    parameters = key_entries(solution, material, own, material[some], nuisances)
+    process, squares = process_entries(solution), _goodness(solution, every, x[some])
+    checks = [
+        *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
+        *doubts.of_tests(problem, parameters, scores, information),
+    ]  # fmt: skip
+    found = (
+        *doubts.of_keys(parameters), *(check.doubt for check in checks if check.doubt is not None),
+        *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
+        *doubts.of_units(problem.experiments),
+    )  # fmt: skip
+    content = {
+        "parameters": parameters,
+        "keys": [*problem.keys],
+        "covariance": np.atleast_2d(np.cov(draws.values(draws.material).T)).tolist(),
+        "level": problem.settings.level,
+        **squares,
+        "evidence": solution.log_evidence,
+        "evidence_error": solution.evidence_error,
+        "specimens": len({test.groups[0] for test in problem.experiments}),
+        "process": process,
+        **_numbers_of_tests(every, scales),
+        "histories": solution.histories,
+        "failed_histories": solution.failed,
+        "steps": solution.steps,
+        "draws": {"effective": solution.effective, "stored": len(draws)},
+        "checks": [
+            {"name": name, "value": value if np.isfinite(value) else None, "limit": limit,
+             "pass": passed} for name, value, limit, passed, _ in checks
+        ],
+        "doubts": [doubt.to_dict() for doubt in found],
+        "warnings": [doubt.text for doubt in found],
+        "alternatives": {},
+        "loss": problem.settings.loss,
+        "versions": versions(),
+        "data": dict(problem.hashes),
+    }  # fmt: skip
+    return FitResult(problem, solution, draws, tuple(every), found, content)
+
+
+def _draws(solution: Solution, rows: Any, material: FloatArray) -> Draws:
+    """Return the draws that are kept: some rows of ``theta``, and the material's unknowns there."""
+    problem, posterior, theta = solution.problem, solution.posterior, solution.theta[rows]
+    sizes = np.zeros((len(rows), len(BODIES)))
+    shares = posterior.shares(theta)
+    for place, (key, process) in enumerate(problem.settings.process.items()):
+        found = shares[:, place] ** 2 * solution.depths[place]
+        sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
+    units = units_of(problem)
+    return Draws(
+        keys=problem.keys, units=tuple(units[key] for key in problem.keys),
+        logarithmic=np.array([p.log for p in problem.parameters]),
+        bounds=np.array([p.bounds for p in problem.parameters], dtype=float),
+        material=material, tests=posterior.of_tests(theta),
+        scatter={
+            (problem.keys[s.key], level): size(theta)
+            for s in posterior.scatterings for level, size in s.levels.items()
+        },
+        process=sizes,
+        specimens=tuple(test.groups[0] for test in problem.experiments),
+        laws=law_names(problem.experiments[0].case),
+        conditions=np.array([conditions_of(t.case, problem.keys) for t in problem.experiments]),
+        effective=min(solution.effective, float(len(rows))),
+    )  # fmt: skip
+
+
+def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:
+    """Return what tells how well the model fits, by draws (s, tests, m) of unknowns.
+
+    ``chi2`` is the sum of squares at the mode, with those of priors, of all readings but mere
+    limits, over the noise and random wear; its freedom is the readings less nuisances without
+    priors, and less keys, which count by how much the draws raise the squares. ``p_value`` is the
+    mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384) for readings whose noise is given;
+    None where all is fitted, or has long tails. ``aic`` has nuisances and fitted noise integrated
+    out, as in the posterior, and lacks a constant of the readings.
+    """
+    posterior, best = solution.posterior, solution.best[None]
+    student = solution.problem.settings.loss == "student"
+    points = np.concatenate([posterior.of_tests(best), x])
+    parts: list[tuple[FloatArray, float, bool]] = []
+    for i, emulated in enumerate(posterior.likelihoods):
+        likelihood, series = emulated.likelihood, emulated.likelihood.test.series
+        each = likelihood.least_squares(emulated.emulator(points[:, i]))
+        for row, part, noise in zip(
+            each, likelihood.parts, likelihood.noises, strict=True
+        ):
+            given = not any(series[number].sd_fitted for number in part)
+            parts.append((row, noise.freedom, given))
+    squares, freedom, known = map(np.array, zip(*parts, strict=True))
+    total, p_value, free = squares.sum(axis=0), None, float(freedom[known].sum())
+    if not student and free >= 1.0:
+        p_value = float(chi2.sf(squares[known, 1:].sum(axis=0), free).mean())
+    raised = max(float(total[1:].mean() - total[0]), 0.0)
+    at_mode = float(total[0])
+    if student:  # the sd of outliers is larger in the others
+        at_mode = sum(float(np.square(one.misfits).sum()) for one in every)
+    log_p = float(posterior.of_readings(best)[0])
+    return {
+        "chi2": at_mode, "n_data": sum(one.series.n for one in every),
+        "degrees_of_freedom": max(float(freedom.sum()) - raised, 0.0), "p_value": p_value,
+        "flagged": p_value is not None and p_value < doubts.IMPROBABLE,
+        "aic": 2.0 * posterior.dimension - 2.0 * log_p,
+    }  # fmt: skip
+
+
+def _numbers_of_tests(
+    every: Sequence[FittedSeries], scales: Sequence[FloatArray]
+) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the numbers of series, their nuisances and measured inputs, by test.
 
     Nuisances are in the data's unit; that of thermal growth has the ``time`` constant's, s. The
     curve of an input is at ``time``, s; the scatter about it is a relative standard deviation.
     """
     experiments, nuisance, inputs = (dict[str, dict[str, Any]]() for _ in range(3))
-    for test in tests:
-        name, case, scaled = test.experiment.name, test.experiment.case, 0
-        of_series = experiments[name] = {}
-        for number, (series, part) in enumerate(test.records):
-            values = test.residuals[part][test.censored[part] == 0.0]
-            entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
-            if len(values) < series.n:
-                entry["censored"] = series.n - len(values)
-            if series.sd_fitted:
-                entry["sd"] = float(test.sd[part][0]) / series.factor
-            of_series[series.name], found = entry, {}
-            for kind, power in ((n.kind, n.power) for n in series.nuisances):
-                if (number, kind) in test.nuisances:
-                    found[kind] = _mean_and_sd(test.nuisances[number, kind])
-                    if kind == "thermal":
-                        found[kind]["time"] = _mean_and_sd(test.growth_times[number])
-                    found[kind] |= {"power": True} if power else {}
-            if found:
-                nuisance.setdefault(name, {})[series.name] = found
-        for measured in test.experiment.inputs:
-            curve, readings = measured.curve(case), measured.readings(case)
-            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
-            entry = {
-                "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
-                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
-            }  # fmt: skip
-            if measured.scale is not None:
-                (mean, sd), drawn = measured.scale, test.nuisances[-1, str(scaled)]
-                scaled, entry["scale"] = scaled + 1, _mean_and_sd(mean + sd * drawn)
-            inputs.setdefault(name, {})[measured.key] = entry
+    for one in every:
+        series, values = one.series, one.misfits
+        entry = {"chi2": float(values @ values), "n": series.n, "unit": series.unit}
+        if len(values) < series.n:
+            entry["censored"] = series.n - len(values)
+        if series.sd_fitted:
+            entry["sd"] = float(one.sd[0]) / series.factor
+        experiments.setdefault(one.test, {})[series.name] = entry
+        found = {kind: _mean_and_sd(draws) for kind, draws in one.nuisances.items()}
+        if GROWTH_TIME in found:
+            found["thermal"]["time"] = found.pop(GROWTH_TIME)
+        for kind in [n.kind for n in series.nuisances if n.power and n.kind in found]:
+            found[kind]["power"] = True
+        if found:
+            nuisance.setdefault(one.test, {})[series.name] = found
+    left, tests = iter(scales), {one.test: one.experiment for one in every}.values()
+    for test, measured in [(one, measured) for one in tests for measured in one.inputs]:
+        curve, readings = measured.curve(test.case), measured.readings(test.case)
+        off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+        entry = {
+            "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+            "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+        }  # fmt: skip
+        if measured.scale is not None:
+            mean, sd = measured.scale
+            entry["scale"] = _mean_and_sd(mean + sd * next(left))
+        inputs.setdefault(test.name, {})[measured.key] = entry
     return {"experiments": experiments, "nuisance": nuisance, "inputs": inputs}
 
 

@@ -5,21 +5,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.identification.definition.problem import Experiment, Series, records
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import (
+    GROWTH_TIME,
+    Experiment,
+    Series,
+    records,
+)
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import coloured, log_volumes, sides, whitened
+from ringwear_par.pictures import fit_panels
 
 #: step of differences of log p, in the sd of an unknown
 _STEP = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class FittedTest:
-    """A test of a fit; arrays (n,) are of all its readings, in the program's units."""
+class FittedSeries:
+    """A series as it was fitted; arrays (n,) are in the program's units."""
 
     experiment: Experiment
-    data: FloatArray
+    series: Series
     #: noise: as given, or as fitted
     sd: FloatArray
     #: of the mode, with nuisances and random wear
@@ -33,29 +39,42 @@ class FittedTest:
     #: (n, bodies) mm, depth worn by chance beyond that of the law, and its sd
     excess: FloatArray
     excess_sd: FloatArray
-    #: (parts, 1 + s) sums of squares, with random wear and priors', at the mode and at draws
-    squares: FloatArray
-    #: (parts,) their degrees of freedom, and whether the sd of all their readings is given
-    freedom: FloatArray
-    given: BoolArray
-    #: draws (s,) of nuisances by number of the series and kind, see ``nuisance_draws``
-    nuisances: dict[tuple[int, str], FloatArray]
-    growth_times: dict[int, FloatArray]
+    #: draws (s,) of nuisances by kind, in the data's unit, and of growth times, s
+    nuisances: dict[str, FloatArray]
 
     @property
-    def records(self) -> list[tuple[Series, slice]]:
-        """Its series, and where their readings are."""
-        return records(self.experiment.series)
+    def test(self) -> str:
+        """The name of its test."""
+        return self.experiment.name
+
+    @property
+    def title(self) -> str:
+        """Its name, and that of its test."""
+        return f"{self.series.name} ({self.test})"
+
+    @property
+    def misfits(self) -> FloatArray:
+        """Residuals of its readings that are no limits."""
+        return self.residuals[self.censored == 0.0]
+
+    def drawn(self, level: float) -> fit_panels.Series:
+        """Return it as figures have it, in the unit of its readings."""
+        series, scale = self.series, 1.0 / self.series.factor
+        return fit_panels.Series(
+            self.test, series.name, series.quantity, series.unit, series.x, scale * series.value,
+            scale * self.model, scale * self.sd, scale * self.band, self.residuals, level,
+            self.experiment.case.contact, self.censored.astype(int),
+        )  # fmt: skip
 
 
-def fitted_test(
+def fitted_series(
     emulated: EmulatedLikelihood,
     best: FloatArray,
     x: FloatArray,
     depths: FloatArray,
     random: np.random.Generator,
-) -> FittedTest:
-    """Return a test of a fit.
+) -> tuple[list[FittedSeries], list[FloatArray]]:
+    """Return the series of a test, and draws (s,) of its inputs' calibrations, in their sd.
 
     Parameters
     ----------
@@ -64,25 +83,26 @@ def fitted_test(
     depths : (bodies,) mm, see ``Solution``.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    at_best, readings = emulated.emulator(best[None]), emulated.emulator(x)
-    model, excess, _, _ = _with_all(likelihood, at_best)
-    models, drawn, values, times = _with_all(likelihood, readings, random)
-    sd, off = likelihood.setting.sd.copy(), likelihood.data - model[0]
-    for series, part in records(test.series):
+    model, excess, _, _ = _with_all(likelihood, emulated.emulator(best[None]))
+    models, worn, values, times = _with_all(likelihood, emulated.emulator(x), random)
+    band, excess, excess_sd = models.std(axis=0), excess[0] * depths, worn.std(axis=0) * depths
+    fitted = []
+    for number, (series, part) in enumerate(records(test.series)):
         # the loss "student" has made the sd of outliers larger
-        scale = float((sd[part] / series.sd).min()) if series.sd_fitted else 1.0
-        sd[part] = scale * series.sd
-        off[part] /= sd[part]
-        if series.censored is None:
-            off[part] = whitened(series, off[part])
-    squares = likelihood.least_squares(np.concatenate([at_best, readings]))
-    freedom = [noise.freedom for noise in likelihood.noises]
-    given = [not any(test.series[i].sd_fitted for i in part) for part in likelihood.parts]
-    return FittedTest(
-        test, likelihood.data, sd, model[0], models.std(axis=0), off, sides(test),
-        excess[0] * depths, drawn.std(axis=0) * depths, squares, np.array(freedom),
-        np.array(given), values, times,
-    )  # fmt: skip
+        larger = float((likelihood.setting.sd[part] / series.sd).min())
+        sd = (larger if series.sd_fitted else 1.0) * series.sd
+        off = (series.value - model[0, part]) / sd
+        nuisances = {kind: drawn for (i, kind), drawn in values.items() if i == number}
+        if number in times:
+            nuisances[GROWTH_TIME] = times[number]
+        fitted.append(
+            FittedSeries(
+                test, series, sd, model[0, part], band[part],
+                whitened(series, off) if series.censored is None else off, sides(test)[part],
+                excess[part], excess_sd[part], nuisances,
+            )
+        )  # fmt: skip
+    return fitted, [drawn for (i, _), drawn in values.items() if i < 0]
 
 
 def _with_all(

@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
-from scipy.stats import qmc
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case
-from ringwear_par.errors import InputError, legible, reason_of
-from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
+from ringwear_par.errors import InputError, legible
+from ringwear_par.identification.definition.problem import Experiment, Series, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.identification.histories import Readings, cases_at
+from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import Setting
 
@@ -19,12 +17,10 @@ from ringwear_par.identification.noise import Setting
 _BLOCKS, _ENOUGH = 10, 30
 #: share of the noise of all readings: a smaller change over the whole of all bounds is no response
 _NO_RESPONSE = 1e-6
-#: values within bounds that are tried
-_TRIED = 512
 #: by how much log p must gain by the other sign, at least, and as a share of what it can gain
 _SURE, _SHARE = 12.5, 0.25
-#: factors on the model of a record that has the wrong sign
-_SIZES = np.geomspace(1e-4, 1e4, 65)
+#: factors on the model of a record: those of the wrong sign, none, and the right ones
+_WRONG, _RIGHT = -np.geomspace(1e-4, 1e4, 65), np.append(0.0, np.geomspace(1e-4, 1e4, 65))
 #: nuisances that leave the sign of a record as it is
 _HARMLESS = ("offset", "level", "tilt")
 
@@ -58,12 +54,10 @@ def refuse_unfit(readings: Readings) -> None:
     ------
     InputError : all of them.
     """
-    problem = readings.problem
-    _refuse_bounds(problem)
+    problem, faults = readings.problem, list[str]()
     start = problem.unknowns([*problem.start.values()])
     models, slopes = readings.with_slopes(start[None])
     values = ", ".join(f"{key} = {value:g}" for key, value in problem.start.items())
-    faults = []
     low, high = problem.unknown_bounds
     for test, model, slope in zip(problem.experiments, models, slopes, strict=True):
         for series, rows in records(test.series):
@@ -84,17 +78,6 @@ def refuse_unfit(readings: Readings) -> None:
         raise InputError(*faults)
 
 
-def _refuse_bounds(problem: Problem) -> None:
-    """Refuse bounds where no values are a case, for a law has rules for its numbers together."""
-    low, high = problem.unknown_bounds
-    points = low + (high - low) * qmc.Sobol(len(low), seed=0).random(_TRIED)
-    values = np.array([problem.values(x) for x in points])
-    found = cases_at(problem.experiments[0].case, problem.keys, values)
-    reasons = [reason_of(entry) for entry in found if not isinstance(entry, Case)]
-    if len(reasons) == _TRIED:
-        raise InputError(f"{problem.name}: bounds leave no values that are a case: {reasons[0]}")
-
-
 def is_reversed(test: Experiment, series: Series, model: FloatArray) -> bool:
     """Tell whether a depth or mass goes against the model (n,), whatever the size of that is.
 
@@ -108,11 +91,8 @@ def is_reversed(test: Experiment, series: Series, model: FloatArray) -> bool:
         same = replace(series, sd_fitted=False, censored=None, nuisances=nuisances)
         alone = replace(test, series=(same,), inputs=())
         likelihood = TestLikelihood(alone, Setting.before(alone), np.zeros(0))
-        ends = np.array([0.0 * model, series.value])
-        (none, best), right, wrong = map(
-            likelihood, (ends, np.outer(_SIZES, model), np.outer(-_SIZES, model))
-        )
-        gain = wrong.max() - max(none, right.max())
-        if gain <= max(_SURE, _SHARE * (best - none)):
+        wrong, right = (likelihood(np.outer(sizes, model)) for sizes in (_WRONG, _RIGHT))
+        (best,) = likelihood(series.value[None])
+        if wrong.max() - right.max() <= max(_SURE, _SHARE * (best - right[0])):
             return False
     return True

@@ -4,7 +4,6 @@ The page of a fit has the same ones. An ``outcome`` is the contents of fit.json,
 of a key.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +20,8 @@ Interval = Sequence[float | None]
 
 #: headers of the table of laws; cells are "" where there is nothing
 LAWS = ("law", "probability", "AIC above the smallest", "chi2", "parameters", "verdict")
+#: remarks on scatters by their verdicts
+_NOTES = {"at bound": ", perhaps none", "not identified": ", mostly by its prior"}
 #: digits of numbers: draws know no more
 _DIGITS = 3
 
@@ -102,32 +103,31 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     if rate is not None and verdict != "not identified":
         product = f"k mu at mu = {rate['mu']:.{_DIGITS}g}" if "mu" in rate else "k"
         note = f"{product}; {rate[CUSTOMARY]:.{_DIGITS}g} {CUSTOMARY}"
-        label, limits_of_rate = "specific wear rate", rate["interval"]
-        rows.append(
-            KeyRow(label, rate["estimate"], rate["sd"], rate["unit"], limits_of_rate, note=note)
-        )
+        estimate, sd, unit, ends = (rate[n] for n in ("estimate", "sd", "unit", "interval"))
+        rows.append(KeyRow("specific wear rate", estimate, sd, unit, ends, note=note))
     return rows
 
 
 def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     """Return the cells of the laws compared, see ``LAWS``, the best by AIC first."""
     laws = {"this law": outcome, **outcome["alternatives"]}
-    failed = [(name, law["error"]) for name, law in laws.items() if "error" in law]
     solved = {name: law for name, law in laws.items() if "error" not in law}
     whole = np.logaddexp.reduce([law["evidence"] for law in solved.values()])
-    best, rows = min(law["aic"] for law in solved.values()), []
-    for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
+    best, rows = min(law["aic"] for law in solved.values()), list[tuple[str, ...]]()
+    for name, law in sorted(laws.items(), key=lambda item: item[1].get("aic", np.inf)):
+        if name not in solved:
+            rows.append((name, "", "", "", "", f"failed: {law['error']}"))
+            continue
         first = [key_rows(key, entry)[0] for key, entry in law["parameters"].items()]
         parameters = ", ".join(f"{row.label} {row.value}" for row in first)
-        more = f"{law['aic'] - best:+.1f}"
         # as if all laws were equally probable before
         probability = float(np.exp(law["evidence"] - whole))
         share = f"{probability:.2g}" if probability >= 1e-4 else "< 1e-4"
         verdict = "does not fit" if law["flagged"] else "fits"
-        if law["p_value"] is None:
-            verdict = "not tested"
-        rows.append((name, share, more, f"{law['chi2']:.4g}", parameters, verdict))
-    return [*rows, *((name, "", "", "", "", f"failed: {error}") for name, error in failed)]
+        verdict = "not tested" if law["p_value"] is None else verdict
+        more, squares = f"{law['aic'] - best:+.1f}", f"{law['chi2']:.4g}"
+        rows.append((name, share, more, squares, parameters, verdict))
+    return rows
 
 
 def goodness(outcome: Entry) -> str:
@@ -157,53 +157,49 @@ def of_specimens(outcome: Entry) -> str:
     )
 
 
+def _size(entry: Entry, times: float, unit: str) -> str:
+    """Return the size of a scatter or of random wear, times a factor, with its interval."""
+    if "known" in entry:
+        return f"{times * entry['known']:.2g}{unit} (taken as known)"
+    size, (low, high) = f"{times * entry['estimate']:.2g}{unit}", entry["interval"]
+    if low is None:
+        return size
+    note = _NOTES.get(entry.get("verdict", ""), "")
+    return f"{size} ({times * low:.2g} to {times * high:.2g}{unit}{note})"
+
+
 def scatter_lines(entry: Entry, level: float) -> list[str]:
     """Return sentences about the scatter of a key, none without."""
     if entry["of"] != "material":
         return []
-    numbers, _ = users_numbers(entry)
-    unit = "" if numbers["unit"] in ("1", "-") else f" {numbers['unit']}"
+    numbers, unit = users_numbers(entry)
+    unit = f" {unit.partition(' per ')[0]}".rstrip()
     times, of_size = (100.0, " %") if "mean" in entry else (1.0 / numbers["scale"], unit)
     sizes = []
     for group, scatter in entry["scatter"].items():
-        count = scatter["groups"]
-        between = f"between {count} {PLURALS[group] if count > 1 else group} "
-        if "known" in scatter:
-            sizes.append(f"{between}{times * scatter['known']:.2g}{of_size} (taken as known)")
-            continue
-        low, high = (times * end for end in scatter["interval"])
-        note = {"at bound": ", perhaps none", "not identified": ", mostly by its prior"}
-        sizes.append(
-            f"{between}{times * scatter['estimate']:.2g}{of_size} ({low:.2g} to {high:.2g}"
-            f"{of_size}{note.get(scatter['verdict'], '')})"
-        )
+        groups = PLURALS[group] if scatter["groups"] > 1 else group
+        sizes.append(f"between {scatter['groups']} {groups} {_size(scatter, times, of_size)}")
     digits = digits_of(numbers["estimate"], numbers["next"])
     following = f"the next specimen: {limits(numbers['next'], digits)}{unit} ({100 * level:g} %)"
-    following += "".join(
-        f"; {name} {symbol} = {times * entry[name][symbol]:.2g}{of_size}"
-        for name, symbol in (("repeatability", "r"), ("reproducibility", "R")) if name in entry
-    )  # fmt: skip
-    needed = entry["specimens_for_10_percent"]
-    more = f"an interval of +-10 % for the material needs about {needed} specimens"
-    return ["; ".join(sizes), following, *([more] if needed is not None else [])]
+    for name, symbol in (("repeatability", "r"), ("reproducibility", "R")):
+        if name in entry:
+            following += f"; {name} {symbol} = {times * entry[name][symbol]:.2g}{of_size}"
+    lines = ["; ".join(sizes), following]
+    if (needed := entry["specimens_for_10_percent"]) is not None:
+        lines.append(f"an interval of +-10 % for the material needs about {needed} specimens")
+    return lines
 
 
 def process_lines(outcome: Entry) -> list[str]:
     """Return a sentence about each body whose wear is itself random, and what follows of it."""
     lines = []
     for key, entry in outcome["process"].items():
-        size, share = entry["size"], entry["share"]
-        text = (
-            f"wear of {body_of_wear(key)} fluctuates: sd "
-            f"{100.0 * share.get('estimate', share.get('known')):.2g} % of the "
-            f"{1e3 * entry['depth']:.3g} um worn at the end"
-        )
-        if "known" in share:
-            lines.append(f"{text} (taken as known)")
-            continue
-        low, high = (100.0 * end if end else math.nan for end in share["interval"])
-        text += f" ({100.0 * outcome['level']:g} %: {low:.2g} to {high:.2g} %)" * (low == low)
-        lines.append(f"{text}; events of {1e6 * size['estimate']:.3g} nm  {entry['verdict']}")
+        share = _size(entry["share"], 100.0, " %")
+        depth, events = f"{1e3 * entry['depth']:.3g} um", entry["size"].get("estimate")
+        text = f"wear of {body_of_wear(key)} fluctuates: sd {share} of the {depth} worn at the end"
+        if events is not None:
+            text += f"; events of {1e6 * events:.3g} nm  {entry['verdict']}"
+        lines.append(text)
     return lines
 
 

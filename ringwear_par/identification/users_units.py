@@ -1,6 +1,6 @@
 """Numbers of keys in the units of their users, and as specific wear rates."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,21 +17,20 @@ _FRICTION = "contact.friction"
 #: mm3/(N m) in 1/MPa
 _UNIT = factor(SPECIFIC, None)
 
+#: numbers of a key's entry: of a running test the interval before too
+_NUMBERS = ("estimate", "sd", "interval", "next", "before")
+
 Entry = Mapping[str, Any]
 
 
-def _scaled(entry: Entry, scale: float) -> dict[str, Any]:
-    """Return the numbers of a key's entry in fit.json in another unit, which is ``scale``.
-
-    Of a running test the interval before too.
-    """
+def _scaled(entry: Entry, scale: float, names: Sequence[str] = _NUMBERS) -> dict[str, Any]:
+    """Return numbers of a key's entry in fit.json in another unit, which is ``scale``."""
 
     def converted(number: Any) -> Any:
         if isinstance(number, list | tuple):
             return [converted(entry) for entry in number]
         return None if number is None else number / scale
 
-    names = ("estimate", "sd", "interval", "next", "before")
     return {name: converted(entry[name]) for name in names if name in entry}
 
 
@@ -43,8 +42,7 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
     """
     if not parameter.unit:
         return None
-    scale = unit_scale(parameter)
-    law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
+    scale, law = unit_scale(parameter), case.laws_by_table.get(parameter.key.rpartition(".")[0])
     of_energy = law is not None and "p0" in law.kind.parameters
     per = {"per": "friction energy"} if of_energy and base_unit(parameter.key) == "1/MPa" else {}
     return {"unit": parameter.unit, "scale": scale, **per, **_scaled(entry, scale)}
@@ -58,23 +56,22 @@ def specific_wear_rate(
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
     The values (s, m) are draws of the keys.
     """
-    body, entry, unit = key.removeprefix("wear.").removesuffix(".k"), entries[key], _UNIT
+    body = key.removeprefix("wear.").removesuffix(".k")
     if body not in BODIES or f"wear.{body}.p0" in entries:
         return None
     (share, *others) = {_share(test.case, body) for test in problem.experiments}
     if share is None or others:
         return None
-    rate = _scaled(entry, unit / share)
+    rate = {"unit": SPECIFIC, **_scaled(entries[key], _UNIT / share, _NUMBERS[:3])}
+    if share != 1.0:
+        rate["mu"] = share
     if share != 1.0 and _FRICTION in entries:
-        share = float(entries[_FRICTION]["estimate"])
+        rate["mu"], tail = float(entries[_FRICTION]["estimate"]), 0.5 - 0.5 * problem.settings.level
         k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
-        level, products = problem.settings.level, k * mu / unit
-        ends = np.quantile(products, [0.5 * (1.0 - level), 0.5 * (1.0 + level)]).tolist()
-        median, sd = float(np.median(products)), float(products.std())
-        rate = {"estimate": median, "sd": sd, "interval": ends}
-    told = {"unit": SPECIFIC, **{name: rate[name] for name in ("estimate", "sd", "interval")}}
-    told[CUSTOMARY] = rate["estimate"] * unit / factor(CUSTOMARY, None)
-    return told if share == 1.0 else {**told, "mu": share}
+        low, median, high = np.quantile(k * mu / _UNIT, [tail, 0.5, 1.0 - tail]).tolist()
+        rate |= {"estimate": median, "sd": float((k * mu / _UNIT).std()), "interval": [low, high]}
+    rate[CUSTOMARY] = rate["estimate"] * _UNIT / factor(CUSTOMARY, None)
+    return rate
 
 
 def _share(case: Case, body: str) -> float | None:

@@ -43,7 +43,7 @@ PLACES = {
     "identification.likelihood": "TestLikelihood",
     "identification.noise": "Setting",
     "identification.solution": "solve",
-    "identification.fit_folder": "drawn_series figure_of_keys",
+    "identification.fit_folder": "figure_of_keys",
     "measuring.definition.measure_file": "read_measure",
     "pictures.figures": "FigureFile plot",
     "pictures.run_panels": "HISTORY_PANELS",

@@ -9,7 +9,8 @@ import xarray
 from laboratory import TRUTH
 from parts import Draws, main, read_draws, toml_text
 
-from ringwear_par.identification.fit_command import run_fit
+from ringwear_par.identification.fit import run_fit
+from ringwear_par.identification.fitted_tests import readings_of_draws
 
 K = "wear.lower.k"
 
@@ -84,6 +85,22 @@ def test_tables_for_spreadsheets(folder, tmp_path):
     assert sum(row[place] ** 2 for row in readings) == pytest.approx(chi2)
 
 
+def test_replicas_are_about_as_far_off_as_the_readings(found):
+    """And log p of the readings is about that of their residuals, and of bands that widen them."""
+    emulated, x = found.solution.posterior.likelihoods[0], found.draws.tests[:, 0]
+    logs, replicas = readings_of_draws(emulated, x, np.random.default_rng(0))
+    model, sd, band, residuals = (
+        np.concatenate([getattr(one, name) for one in found.series if one.test == "test 1"])
+        for name in ("model", "sd", "band", "residuals")
+    )
+    off = (replicas - model) / np.hypot(sd, band)
+    assert abs(off.mean()) < 0.02
+    assert off.std() == pytest.approx(1.0, abs=0.03)
+    squares = residuals**2 + (band / sd) ** 2
+    expected = -0.5 * squares - np.log(sd) - 0.5 * np.log(2.0 * np.pi)
+    assert logs.mean(axis=0) == pytest.approx(expected, abs=0.15)
+
+
 @pytest.mark.slow
 def test_draws_are_read_as_they_were_written(specimens, tmp_path):
     """ArviZ has them by chains; readings of draws are about as far off as the data."""
@@ -98,7 +115,7 @@ def test_draws_are_read_as_they_were_written(specimens, tmp_path):
             np.testing.assert_array_equal(one[K, "specimen"], other[K, "specimen"])
         else:
             assert one == other, name
-    count, n = len(draws), specimens.n
+    count, n = len(draws), specimens.content["n_data"]
     with h5py.File(tmp_path / "draws.nc") as file:
         assert {*file} == {"posterior", "observed_data", "posterior_predictive", "log_likelihood"}
         assert file["posterior"][K].shape == (4, count // 4)
@@ -106,6 +123,7 @@ def test_draws_are_read_as_they_were_written(specimens, tmp_path):
         assert file["log_likelihood"]["reading"].shape == (4, count // 4, n)
         replicas = file["posterior_predictive"]["reading"][:].reshape(count, n)
         observed = file["observed_data"]["reading"][:]
-    np.testing.assert_array_equal(observed, np.concatenate([t.data for t in specimens.tests]))
+    read = [one.series.value for one in specimens.series]
+    np.testing.assert_array_equal(observed, np.concatenate(read))
     off = (replicas - observed) / replicas.std(axis=0)
     assert np.abs(off.mean(axis=0)).max() < 2.5

@@ -67,14 +67,14 @@ def test_growth_with_friction_power_is_no_wear(warm):
     found = rw.fit(warm(thermal), MPI.COMM_SELF)
     k = found.parameters[K]
     assert abs(k["estimate"] - TRUTH[K]) < 2.5 * k["sd"] < 0.3 * TRUTH[K]
-    assert found.p_value > 0.01
+    assert found.content["p_value"] > 0.01
     of_rig = found.to_dict()["nuisance"]["a"]["penetration"]["thermal"]
     assert abs(of_rig["estimate"] - GROWTH) < 3.0 * of_rig["sd"] < 3.0
     assert abs(of_rig["time"]["estimate"] - TIME) < 3.0 * of_rig["time"]["sd"]
     assert of_rig["time"]["sd"] < 450.0  # of the prior: 480
     assert of_rig["power"] is True
     once = rw.fit(warm({"offset": {}, "thermal": THERMAL}), MPI.COMM_SELF)
-    assert once.chi2 > found.chi2 + 10.0
+    assert once.content["chi2"] > found.content["chi2"] + 10.0
 
 
 @pytest.mark.slow

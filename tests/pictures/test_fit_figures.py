@@ -7,7 +7,7 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
-from parts import drawn_series, figure_of_keys
+from parts import figure_of_keys
 
 import ringwear_par as rw
 from ringwear_par.pictures import fit_panels, key_panels
@@ -60,9 +60,8 @@ def test_residuals_are_data_less_model(found):
     check_texts(chart)
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
-    (test,) = found.tests
-    for axes, (series, part) in zip(panels, test.records, strict=False):
-        expected = (series.value - test.model[part]) / series.sd
+    for axes, one in zip(panels, found.series, strict=False):
+        expected = (one.series.value - one.model) / one.series.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
         assert drawn == pytest.approx(expected)
 
@@ -91,11 +90,10 @@ def test_densities_and_pairs_are_those_of_the_draws(found):
 
 def test_long_tests_are_drawn_in_hours(found):
     """As results are; the numbers are those of the file, in s."""
-    (test,) = found.tests
-    series, part = test.records[0]
+    series = found.series[0].drawn(0.95)
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, label in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
-        x, axis = drawn_series(test, one, part, 0.95).along()
+        x, axis = one.along()
         assert x == pytest.approx(one.x / seconds)
         assert axis.label == label

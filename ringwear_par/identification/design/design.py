@@ -27,7 +27,7 @@ from ringwear_par.identification.design.information import (
     candidates,
     informations,
 )
-from ringwear_par.identification.fit_command import into_folder
+from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.key_panels import design_panels
@@ -73,18 +73,17 @@ class DesignResult(Outcome):
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
-        content = self.content
-        around = (
-            f"means over {content['draws']} draws" if content["draws"] > 1
-            else "without priors or an earlier fit (--after) it holds there only"
-        )  # fmt: skip
+        content, after = self.content, self.content["after"]
         lines = [
             f"{content['fit']}: {len(self.designs[0]['experiments'])} of {content['candidates']} "
             f"tests, {_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
             f"{content['histories']} histories",
-            f"{f'after {after}' if (after := content['after']) else 'at the start'}: "
-            f"{', '.join(content['about'])}; {around}",
+            f"{f'after {after}' if after else 'at the start'}: {', '.join(content['about'])}; ",
         ]
+        lines[-1] += (
+            f"means over {content['draws']} draws" if content["draws"] > 1
+            else "without priors or an earlier fit (--after) it holds there only"
+        )  # fmt: skip
         if content["scatter"]:
             lines.append(
                 f"each test is of a new specimen, and {', '.join(content['scatter'])} differs "
@@ -94,13 +93,13 @@ class DesignResult(Outcome):
         rows = [content["today"], *self.designs[:_SHOWN]]
         width = max(len(row["name"]) for row in rows)
         for row in rows:
-            sds = []
-            for key, sd in row["sd"].items():
-                scale = content["sd_scales"][key]
+            words = []
+            for key, scale in content["sd_scales"].items():
+                sd = row["sd"][key]
                 number = "" if sd is None else f"{scale['factor'] * sd:.2g} {scale['unit']}"
-                sds.append(f"{key} sd {number}".rstrip() if number else f"{key} not identified")
-            gain = f"; gain {row['gain']:.3g} bits" * (row["name"] != "today")
-            lines.append(f"  {row['name'].ljust(width)}  {'; '.join(sds)}{gain}")
+                words.append(f"{key} sd {number}".rstrip() if number else f"{key} not identified")
+            words += [f"gain {row['gain']:.3g} bits"] * (row["name"] != "today")
+            lines.append(f"  {row['name'].ljust(width)}  {'; '.join(words)}")
         if content["failed"]:
             tests = counted(content["failed"], "test")
             lines.append(f"{tests} without a history are left out: {content['reason']}")
@@ -243,7 +242,7 @@ def _designs(
         told, together = information[some].sum(axis=0), [tests[i] for i in some]
         sd = [v if np.isfinite(v) else None for v in before.sd_of_values(told).tolist()]
         entries.append(
-            {"name": " + ".join(test.name(problem.design) for test in together) or "today",
+            {"name": " + ".join(test.experiment.name for test in together) or "today",
              "experiments": [dict(test.keys) for test in together],
              "seconds": sum(test.seconds for test in together),
              "gain": float(before.then(told)[0] / np.log(2.0)),

@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
-    Loss,
     Problem,
     Series,
     body_of_wear,
@@ -44,13 +44,12 @@ _RECORD = 10
 _DRAWS, _MANY = 6, 512
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(NamedTuple):
     """One test that could be made."""
 
     #: of the case, those that vary
     keys: Mapping[str, float]
-    #: its case, and when it is read
+    #: its case, when it is read, and in a few words what it is
     experiment: Experiment
 
     @property
@@ -64,25 +63,13 @@ class Candidate:
         loads = tuple(self.keys[key] for key in LOADS if key in self.keys)
         return loads or (self.keys.get("load.omega", 0.0), self.seconds)
 
-    def name(self, space: DesignSpace) -> str:
-        """Return the test in a few words, in the units in which ranges are written."""
-        words = []
-        for key in (*LOADS, "load.omega", "time.end"):
-            base = BY_PATH[key].unit
-            unit = space.units.get(key, "" if key == "time.end" else base)
-            if not unit:
-                words.append(time_words(self.seconds, self.seconds))
-            elif key in self.keys or key == "time.end":
-                value = self.keys.get(key, self.seconds)
-                words.append(f"{value / factor(unit, base):.4g} {unit}")
-        return ", ".join(words)
-
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values.
 
     Records go on at their rate, with their median noise; profiles are measured at the end, that of
-    a body as its last one in the file; all else is read at its part of the test.
+    a body as its last one in the file; all else is read at its part of the test. Names have the
+    units in which ranges are written.
     """
     usual, tests = template.case.time.end, list[Candidate]()
     read = {s.quantity if s.profile else s.name: s for s in template.series}
@@ -90,11 +77,22 @@ def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     levels = (np.unique(np.linspace(*space.ranges[key], _LEVELS[key])).tolist() for key in varied)
     for values in itertools.product(*levels):
         keys = dict(zip(varied, values, strict=True))
-        if (end := keys.get("time.end", usual)) <= space.time_limit:
-            series = tuple(_scaled(s, end, end / usual) for s in read.values())
-            name, case = f"candidate {len(tests) + 1}", template.case.replace(keys)
-            tests.append(Candidate(keys, Experiment(name, case, series)))
+        if (end := keys.get("time.end", usual)) > space.time_limit:
+            continue
+        named = [(key, keys[key]) for key in (*LOADS, "load.omega") if key in keys]
+        words = [_in_words(space, key, value) for key, value in (*named, ("time.end", end))]
+        series = tuple(_scaled(s, end, end / usual) for s in read.values())
+        test = Experiment(", ".join(words), template.case.replace(keys), series)
+        tests.append(Candidate(keys, test))
     return tests
+
+
+def _in_words(space: DesignSpace, key: str, value: float) -> str:
+    """Return the value of a key in the unit in which its range is written."""
+    if key == "time.end" and key not in space.units:
+        return time_words(value, value)
+    unit = space.units.get(key, BY_PATH[key].unit)
+    return f"{value / factor(unit, BY_PATH[key].unit):.4g} {unit}"
 
 
 def _scaled(series: Series, end: float, longer: float) -> Series:
@@ -153,7 +151,6 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
     """
     parameters, process = problem.parameters, problem.settings.process
     scatter = np.array([p.scatter.variance if p.scatter else 0.0 for p in parameters])
-    low, high = problem.unknown_bounds
     if folder is None:
         sizes = [np.nan if noise.size is None else noise.size for noise in process.values()]
         means = [p.start if p.prior is None else p.prior.mean for p in parameters]
@@ -179,24 +176,20 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
         sizes = [np.median(draws.process[:, BODIES.index(body_of_wear(key))]) for key in process]
     at = problem.values(x)
     slopes = np.array([p.slope(v) for p, v in zip(parameters, at, strict=True)])
-    chosen = _along(np.clip(material, low, high))
+    # few draws stand for all, at equal steps of their longest axis: where a posterior bends,
+    # readings at its mean alone would promise too much
+    material = np.clip(material, *problem.unknown_bounds)
+    scaled, longest = standardised(material)
+    places = (2 * np.arange(_DRAWS) + 1) * len(material) // (2 * _DRAWS)
+    chosen = material[np.argsort(scaled @ longest, kind="stable")[places]]
     return Before(at, slopes, chosen, covariance, vague, scatter, np.array(sizes, dtype=float))
 
 
-def _along(material: FloatArray) -> FloatArray:
-    """Return few draws (d, m) that stand for all (s, m): at equal steps of their longest axis.
-
-    Where a posterior bends, readings at its mean alone would promise too much.
-    """
-    scaled, longest = standardised(material)
-    places = (2 * np.arange(_DRAWS) + 1) * len(material) // (2 * _DRAWS)
-    return material[np.argsort(scaled @ longest, kind="stable")[places]]
-
-
 def informations(readings: Readings, before: Before) -> FloatArray:
-    """Return what each test tells of the material, (tests, d, m, m); NaN without a history.
+    """Return what each test, of a specimen each, tells of the material, (tests, d, m, m).
 
-    On the first rank, within ``readings.lead``.
+    NaN without a history. Of a thermal growth the amplitude is unknown, its time as expected. On
+    the first rank, within ``readings.lead``.
     """
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
     _, slopes = readings.with_slopes(before.draws)
@@ -204,41 +197,19 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     expected = [noise.expected_share for noise in problem.settings.process.values()]
     of_sizes = np.sqrt(before.sizes / depths)
     shares = np.where(np.isnan(of_sizes), expected, of_sizes)
-    every = np.full((len(tests), d, m, m), np.nan)
-    for matrices, test, slope, of_test in zip(every, tests, slopes, clocks, strict=True):
-        if np.isfinite(slope).all():
-            setting = replace(Setting.before(test), clocks=tuple(of_test))
-            matrices[:] = information(
-                test, setting, shares, slope, problem.settings.loss, before.scatter
-            )
-    return every
-
-
-def information(
-    test: Experiment,
-    setting: Setting,
-    shares: FloatArray,
-    slopes: FloatArray,
-    loss: Loss,
-    scatter: FloatArray,
-) -> FloatArray:
-    """Return the information (d, m, m) on the material in the readings of a test of one specimen.
-
-    Of a thermal growth the amplitude is unknown, its time as expected.
-
-    Parameters
-    ----------
-    shares : (bodies,) of random wear.
-    slopes : (n, d, m) derivatives of the readings.
-    scatter : (m,) variances of the specimen's own values about the material's.
-    """
-    sd, every = np.concatenate([series.sd for series in test.series]), range(len(test.series))
-    setting = replace(setting, sd=sd / np.sqrt(STUDENT if loss == "student" else 1.0))
-    noise = Noise(test, every, setting, shares)
-    rows = slopes[noise.rows].reshape(len(noise.rows), -1)
-    times = [time.expected for one in test.series if (time := one.growth_time)] or [1.0]
-    distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
-    gram = noise.grams(rows, np.zeros(rows.shape[1]), int(distance.argmin()))
-    alone = np.einsum("didj->dij", gram.reshape(2 * slopes.shape[1:]))
-    of_material: FloatArray = np.linalg.solve(np.eye(len(scatter)) + alone * scatter, alone)
-    return of_material
+    worse = STUDENT if problem.settings.loss == "student" else 1.0
+    information = np.full((len(tests), d, m, m), np.nan)
+    for number, (test, slope, of_test) in enumerate(zip(tests, slopes, clocks, strict=True)):
+        if not np.isfinite(slope).all():
+            continue
+        sd, every = np.concatenate([series.sd for series in test.series]), range(len(test.series))
+        setting = replace(Setting.before(test), clocks=tuple(of_test), sd=sd / np.sqrt(worse))
+        noise = Noise(test, every, setting, shares)
+        rows = slope[noise.rows].reshape(len(noise.rows), -1)
+        times = [time.expected for one in test.series if (time := one.growth_time)] or [1.0]
+        distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
+        gram = noise.grams(rows, np.zeros(rows.shape[1]), int(distance.argmin()))
+        alone = np.einsum("didj->dij", gram.reshape(d, m, d, m))
+        scatter = before.scatter  # of the specimen's own values about the material's
+        information[number] = np.linalg.solve(np.eye(m) + alone * scatter, alone)
+    return information
