@@ -256,7 +256,7 @@ def in_unit(value: Any, unit: str | None) -> Any:
     return number_in(value, unit) if has_unit(value) and unit not in ("", "-", "1") else value
 
 
-def in_unit_where_right(value: Any, unit: str) -> Any:
+def in_unit_where_right(value: Any, unit: str | None) -> Any:
     """Return ``in_unit``, or the raw value where a unit is wrong, which its reader refuses."""
     try:
         return in_unit(value, unit)

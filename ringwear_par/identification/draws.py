@@ -220,12 +220,12 @@ def read_draws(path: Path) -> Draws:
             alike = np.repeat(values[:, None], len(about["specimens"]), axis=1)
             tests.append(columns(f"{key} of tests", alike))
         logarithmic, none = np.array(about["logarithmic"]), np.zeros(len(material[0]))
-        unknowns = [np.stack(values, axis=-1) for values in (material, tests)]
-        for values in unknowns:
+        of_material, of_tests = np.stack(material, axis=-1), np.stack(tests, axis=-1)
+        for values in (of_material, of_tests):
             values[..., logarithmic] = np.log(values[..., logarithmic])
         return Draws(
             tuple(about["keys"]), tuple(about["units"]), logarithmic, np.array(about["bounds"]),
-            *unknowns,
+            of_material, of_tests,
             {(key, level): columns(_scatter_name(key, level)) for key, level in about["scatter"]},
             np.stack([columns(f"process.wear.{body}", none) for body in BODIES], axis=1),
             tuple(about["specimens"]), about["laws"], np.array(about["conditions"], dtype=float),

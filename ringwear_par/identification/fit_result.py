@@ -211,9 +211,7 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     for i, emulated in enumerate(posterior.likelihoods):
         likelihood, series = emulated.likelihood, emulated.likelihood.test.series
         each = likelihood.least_squares(emulated.emulator(points[:, i]))
-        for row, part, noise in zip(
-            each, likelihood.parts, likelihood.noises, strict=True
-        ):
+        for row, part, noise in zip(each, likelihood.parts, likelihood.noises, strict=True):
             given = not any(series[number].sd_fitted for number in part)
             parts.append((row, noise.freedom, given))
     squares, freedom, known = map(np.array, zip(*parts, strict=True))

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.numbers import needs_reading, with_numbers
+from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.cases.smooth_keys import is_elastic
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
@@ -296,7 +296,11 @@ def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case |
 
     if is_elastic(case, keys):
         return [read_anew(point) for point in points]
-    numbers = dict(zip(map(split_key, keys), points.T, strict=True))
+    numbers: dict[Number, FloatArray] = {}
+    for key, column in zip(keys, points.T, strict=True):
+        path, entry = split_key(key)
+        assert not isinstance(entry, int)
+        numbers[path, entry] = column
     lists = {number: values.tolist() for number, values in numbers.items()}
     cases: list[Case | InputError] = [*with_numbers(case, lists, [case.text] * len(points))]
     for i in np.flatnonzero(needs_reading(case, numbers)):

@@ -240,7 +240,8 @@ class Posterior:
             if p.prior is not None:
                 value = np.exp(x) if p.log else x
                 logs = logs - 0.5 * ((value - p.prior.mean) / p.prior.sd) ** 2 + x * p.log
-        for part in (*self.sizes, *self.scatterings):
+        parts: list[Size | Scattering] = [*self.sizes, *self.scatterings]
+        for part in parts:
             logs = logs + part.log_prior(theta)
         return logs
 

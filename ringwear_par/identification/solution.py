@@ -290,7 +290,7 @@ def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatA
 
     With sizes free, it has no largest: they vanish where all specimens are alike.
     """
-    sizes = [size.place for size in posterior.sizes]
+    sizes = [size.place for size in posterior.sizes if size.place is not None]
     best, scale = theta[np.argmax(density)].copy(), theta.std(axis=0)
     best[sizes], scale[sizes] = np.median(theta[:, sizes], axis=0), 0.0
 

@@ -1,10 +1,11 @@
 """Answers to the readings of a running test: they depend on these alone, however they came.
 
-Whether readings are as expected, when they will be enough, and when a depth is reached; as numbers,
-in lines of text and on a page.
+Whether readings are as expected, when they will be enough, and when a depth is reached; as numbers
+and in lines of text.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+import pickle
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,6 @@ from scipy.special import fdtrc
 from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
@@ -22,30 +22,22 @@ from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen
-from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
-from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo, depth_line, times_at
-from ringwear_par.reports import blocks
-from ringwear_par.results.key_numbers import time_unit, time_words
-from ringwear_par.results.variables import DISPLAY_UNITS
+from ringwear_par.results.key_numbers import time_words
 
 #: windows of a test in which readings are compared with what is expected of them, and the
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: error of histories over their spread above which there is a doubt; share of the draws at edges of
-#: what was drawn before above which there is one, and part of the box that is at its edges
-_ROUGH, _AT_EDGES, _EDGE = 2e-3, 0.01, 0.97
+#: share of the draws at edges of what was drawn before above which there is a doubt, and part of
+#: the box that is at its edges
+_AT_EDGES, _EDGE = 0.01, 0.97
 #: draws by which readings are predicted
-_PREDICTED = 2000
+PREDICTED = 2000
 #: times at which the sd of a key is expected
 _TIMES = 9
-#: quantities of records that are drawn
-_DRAWN = ("penetration", "approach", "torque")
 #: share of its time from which on a test has ended
 _ENDED = 0.999
-#: s, after which a browser loads the page anew
-_REFRESH = 10
 
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
@@ -57,186 +49,115 @@ def part_of(test: Experiment, rows: BoolArray) -> Experiment:
     return replace(test, series=tuple(informative))
 
 
-class Monitor:
-    """Answers to the readings of a running test. On the first rank, within ``Readings.lead``.
+def answer_of(
+    follower: Follower, problem: Problem, percent: float, depth: float | None = None
+) -> tuple[dict[str, Any], Specimen]:
+    """Return the answer to the readings so far, the contents of follow.json; and the draws.
+
+    Of ``trace`` an entry is time, low end, median and high end of the first wear rate, whose
+    interval is to become narrow; the first one is before the test.
 
     Parameters
     ----------
-    goal : number of the key whose interval is to become narrow: half its width over the median,
-        in percent.
+    problem : of the running test, with its readings so far.
+    percent : half the width of that interval over the median.
     depth : mm, of penetration; None: none is asked for.
-    doubts : that there are before the test.
     """
+    (test,), level = problem.experiments, problem.settings.level
+    specimens, alarm = _followed(follower, test)
+    specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
+    before, *every = (
+        _intervals(follower, x, level) for x in (follower.before, *(s.unknowns for s in specimens))
+    )
+    keys = _keys(follower, problem, before, every[-1])
+    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
+    goal = (*rates, 0)[0]
+    key, reached = problem.keys[goal], keys[problem.keys[goal]]["percent"]
+    time, less = time_to_goal(follower, specimen, goal, percent / reached)
+    times = [0.0, *(float(one.test.times.max()) for one in specimens)]
+    found = None
+    if depth is not None:
+        there = TimeTo.of(time_to(follower, specimen, depth), level)
+        found = {"depth": depth, **there._asdict()}
+    answer = {
+        "test": test.name, "whom": follower.of, "time": now, "end": end,
+        "ended": now >= _ENDED * end, "readings": test.n, "level": level, "keys": keys,
+        "depth": found, "alarm": alarm,
+        "trace": [[t, *ends[goal]] for t, ends in zip(times, (before, *every), strict=True)],
+        "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
+        "interpolated": follower.error, "doubts": _doubts_of(follower, specimen, alarm, end),
+    }  # fmt: skip
+    return {**answer, "summary": _lines(answer)}, specimen
 
-    def __init__(
-        self,
-        follower: Follower,
-        goal: tuple[int, float],
-        depth: float | None = None,
-        doubts: Sequence[str] = (),
-    ) -> None:
-        self._follower, (self._goal, self._percent), self._depth = follower, goal, depth
-        self._doubts, tail = doubts, 0.5 * (1.0 - follower.problem.settings.level)
-        self._tails = [tail, 0.5, 1.0 - tail]
-        self._before = self._intervals(follower.before)
-        #: draws at the end of a window, and probability of its readings, by all until then
-        self._windows: dict[Hashable, tuple[Specimen, float]] = {}
 
-    def answer(self, problem: Problem) -> dict[str, Any]:
-        """Return the answer to the readings so far, the contents of follow.json but its texts.
+def _followed(
+    follower: Follower, test: Experiment
+) -> tuple[list[Specimen], dict[str, float] | None]:
+    """Return the draws at the ends of windows and now, or until an alarm, and the alarm."""
+    times, end, specimens = test.times, test.case.time.end, list[Specimen]()
+    windows = end * np.arange(1, WINDOWS + 1) / WINDOWS
+    for window in windows[windows <= times.max() * (1.0 + 1e-9)]:
+        part = part_of(test, times <= window * (1.0 + 1e-9))
+        if part.n == (specimens[-1].test.n if specimens else 0):
+            continue
+        content = pickle.dumps(part.series)
+        if content not in follower.windows:
+            later = follower.update(part)
+            p = surprise(follower, specimens[-1], later) if specimens else 1.0
+            follower.windows[content] = later, p
+        later, probability = follower.windows[content]
+        if probability < _IMPROBABLE:
+            first = times[times > specimens[-1].test.times.max()].min()
+            return specimens, {"time": float(first), "probability": probability}
+        specimens.append(later)
+    if not specimens or specimens[-1].test.n < test.n:
+        specimens.append(follower.update(test))
+    return specimens, None
 
-        Of ``trace`` an entry is time, low end, median and high end of the goal's key, the first one
-        before the test.
 
-        Parameters
-        ----------
-        problem : of the running test, with its readings so far.
-        """
-        (test,), follower, goal = problem.experiments, self._follower, self._goal
-        times, end, level = test.times, test.case.time.end, problem.settings.level
-        trace, alarm, now = [[0.0, *self._before[goal]]], None, float(times.max())
-        specimen: Specimen | None = None
-        for window in end * np.arange(1, WINDOWS + 1) / WINDOWS:
-            part = part_of(test, times <= window * (1.0 + 1e-9))
-            if window > now * (1.0 + 1e-9) or part.n == (
-                0 if specimen is None else specimen.test.n
-            ):
-                continue
-            later, probability = self._window(specimen, part)
-            if specimen is not None and probability < _IMPROBABLE:
-                first = times[times > specimen.test.times.max()].min()
-                alarm = {"time": float(first), "probability": probability}
-                break
-            specimen = later
-            trace.append(self._trace(specimen))
-        if specimen is None or (alarm is None and specimen.test.n < test.n):
-            specimen = follower.update(test)
-            trace.append(self._trace(specimen))
-        self._last, keys = specimen, self._keys(problem, self._intervals(specimen.unknowns))
-        key, percent = problem.keys[goal], keys[problem.keys[goal]]["percent"]
-        time, less = time_to_goal(follower, specimen, goal, self._percent / percent)
-        depth = None
-        if self._depth is not None:
-            reached = TimeTo.of(time_to(follower, specimen, self._depth), level)
-            depth = {"depth": self._depth, **reached._asdict()}
-        answer = {
-            "test": test.name, "whom": follower.of, "time": now, "end": end,
-            "ended": now >= _ENDED * end, "readings": len(times), "level": level, "keys": keys,
-            "depth": depth, "alarm": alarm, "trace": trace,
-            "goal": {"key": key, "percent": self._percent, "time": time, "at_end": percent * less},
-            "interpolated": follower.histories.error,
-            "doubts": self._doubts_of(specimen, alarm, end),
+def _intervals(follower: Follower, unknowns: FloatArray, level: float) -> list[list[float]]:
+    """Return low end, median and high end of each key over draws (s, m)."""
+    values, tail = follower.draws.values(unknowns[:, : follower.m]), 0.5 * (1.0 - level)
+    ends: list[list[float]] = np.quantile(values, (tail, 0.5, 1.0 - tail), axis=0).T.tolist()
+    return ends
+
+
+def _keys(
+    follower: Follower, problem: Problem, before: list[list[float]], now: list[list[float]]
+) -> dict[str, dict[str, Any]]:
+    """Return entries of the keys, as in fit.json, with the interval before the test."""
+    keys = {}
+    for parameter, unit, (low, median, high), (first, _, last) in zip(
+        problem.parameters, follower.draws.units, now, before, strict=True
+    ):
+        entry = {
+            "unit": unit, "estimate": median, "interval": (low, high),
+            "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
         }  # fmt: skip
-        return {**answer, "summary": _lines(answer)}
+        converted = in_users_unit(parameter, entry, problem.experiments[0].case)
+        keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
+    return keys
 
-    def _window(self, specimen: Specimen | None, test: Experiment) -> tuple[Specimen, float]:
-        """Return the draws by a test, and how probable its new readings are by those before."""
-        content = tuple(
-            (s.name, s.x.tobytes(), s.value.tobytes(), s.sd.tobytes(), str(s.censored))
-            for s in test.series
+
+def _doubts_of(
+    follower: Follower, specimen: Specimen, alarm: dict[str, float] | None, end: float
+) -> list[str]:
+    """Return what speaks against the numbers, an alarm first."""
+    doubts = [*follower.doubts]
+    if alarm is not None:
+        doubts.insert(
+            0,
+            f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} "
+            f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
+            "rig; all numbers are of the readings before",
         )
-        if content not in self._windows:
-            later = self._follower.update(test)
-            p = 1.0 if specimen is None else surprise(self._follower, specimen, later)
-            self._windows[content] = later, p
-        return self._windows[content]
-
-    def _trace(self, specimen: Specimen) -> list[float]:
-        """Return the time of the last reading, and the interval of the goal's key by all."""
-        return [
-            float(specimen.test.times.max()), *self._intervals(specimen.unknowns)[self._goal]
-        ]  # fmt: skip
-
-    def _intervals(self, unknowns: FloatArray) -> list[list[float]]:
-        """Return low end, median and high end of each key over draws (s, m)."""
-        values = self._follower.draws.values(unknowns[:, : self._follower.m])
-        ends: list[list[float]] = np.quantile(values, self._tails, axis=0).T.tolist()
-        return ends
-
-    def _keys(self, problem: Problem, intervals: list[list[float]]) -> dict[str, dict[str, Any]]:
-        """Return entries of the keys, as in fit.json, with the interval before the test."""
-        keys = {}
-        for parameter, unit, (low, median, high), (first, _, last) in zip(
-            problem.parameters, self._follower.draws.units, intervals, self._before, strict=True
-        ):
-            entry = {
-                "unit": unit, "estimate": median, "interval": (low, high),
-                "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
-            }  # fmt: skip
-            converted = in_users_unit(parameter, entry, problem.experiments[0].case)
-            keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
-        return keys
-
-    def _doubts_of(
-        self, specimen: Specimen, alarm: dict[str, float] | None, end: float
-    ) -> list[str]:
-        """Return what speaks against the numbers, an alarm first."""
-        doubts, histories = [*self._doubts], self._follower.histories
-        if alarm is not None:
-            doubts.insert(
-                0,
-                f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} "
-                f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
-                "rig; all numbers are of the readings before",
-            )
-        inside = histories.emulator.box.inside(specimen.unknowns[:, : self._follower.m])
-        if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
-            doubts.append(
-                "this specimen is beyond almost all that the earlier tests let expect: intervals "
-                "are cut off there; check that they are of the same material and rig"
-            )
-        if histories.error > _ROUGH:
-            doubts.append(
-                f"histories between draws are known to {100 * histories.error:.2g} % of their "
-                "spread: a layer is worn through, or a threshold is reached, at some draws"
-            )
-        return doubts
-
-    def page(self, answer: Mapping[str, Any]) -> blocks.Page:
-        """Return the page of the last answer, which a browser loads anew while the test runs."""
-        unit, seconds = time_unit(answer["end"])
-        key, level = answer["goal"]["key"], f"{100 * answer['level']:g} %"
-        numbers, unit_of_key = users_numbers(answer["keys"][key])
-        time, *ends = np.array(answer["trace"]).T
-        time, (low, median, high) = time / seconds, np.array(ends) / numbers["scale"]
-        of_key = Panel(
-            Axis(f"time ({unit})"), Axis(f"{key} ({in_signs(unit_of_key or '1')})"),
-            "by the readings until then",
-            curves=[Curve(time, median, "median", COLOURS[1], marked=True)],
-            bands=[Band(time, low, high, level, ("low", "high"))],
-        )  # fmt: skip
-        charts = [blocks.Chart("key", of_key, f"{key} and its interval over the time of the test")]
-        known = [one for one in records(self._last.test.series) if one[0].quantity in _DRAWN][:1]
-        charts += [
-            blocks.Chart("record", self._record(*one, unit, seconds, level),
-                         "Readings, and histories of this specimen")
-            for one in known
-        ]  # fmt: skip
-        summary: list[blocks.Block] = [blocks.Lines([*map(with_signs, answer["summary"])])]
-        summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
-        sections = [
-            blocks.Section("Summary", summary),
-            blocks.Section("Over time", [blocks.Charts(charts)]),
-        ]
-        refresh = 0 if answer["ended"] else _REFRESH
-        return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
-
-    def _record(self, series: Series, part: slice, unit: str, seconds: float, level: str) -> Panel:
-        """Return the panel of a record, whose readings are a part of the test's."""
-        specimen, histories = self._last, self._follower.histories
-        steps = specimen.some(_PREDICTED).v @ histories.parts[series.name].T
-        middle = self._follower.middle(specimen, specimen.test)
-        added = specimen.likelihood.likelihood.nuisance_draws(middle[None])[0][0, part]
-        symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
-        time, ends = histories.time / seconds, factor * np.quantile(steps, self._tails, axis=0)
-        return Panel(
-            Axis(f"time ({unit})"), Axis(f"{series.quantity} ({symbol})", zero=True),
-            "readings, and histories of this specimen",
-            curves=[Curve(time, ends[1], "median", COLOURS[1])],
-            bands=[Band(time, ends[0], ends[2], level, ("low", "high"))],
-            points=[Points(series.x / seconds, factor * (series.value - added),
-                           "readings, less offset and drift")],
-        )  # fmt: skip
+    inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
+    if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
+        doubts.append(
+            "this specimen is beyond almost all that the earlier tests let expect: intervals "
+            "are cut off there; check that they are of the same material and rig"
+        )
+    return doubts
 
 
 def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
@@ -250,10 +171,10 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     ----------
     before, after : draws by old readings, and by these and the new ones.
     """
-    old, both = before.likelihood.likelihood, follower.likelihood_like(before, after.test)
+    old, both = before.likelihood, follower.likelihood_like(before, after.test)
     if follower.problem.settings.loss == "student":
-        setting = both.adapted(follower.middle(after, after.test), "student")
-        both = TestLikelihood(after.test, setting, before.shares)
+        middle = follower.readings(after, after.test).mean(axis=0)
+        both = TestLikelihood(after.test, both.adapted(middle, "student"), before.shares)
     new = int((sides(after.test) == 0.0).sum() - (sides(before.test) == 0.0).sum())
     square = _least_squares(follower, both, after) - _least_squares(follower, old, before)
     if new == 0 or square <= 0.0:
@@ -270,21 +191,11 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
 
 def _least_squares(follower: Follower, likelihood: TestLikelihood, specimen: Specimen) -> float:
     """Return the least sum of squares of the readings of a test, and of priors, over some draws."""
-    test, known = likelihood.test, follower.before[:, : follower.m]
-    some = specimen.some(_PREDICTED)
-    readings = follower.histories.read(follower.histories.parts, test) @ some.v.T
+    known, some = follower.before[:, : follower.m], specimen.some(PREDICTED)
     off = some.unknowns[:, : follower.m] - known.mean(axis=0)
     total = ((off @ np.linalg.inv(np.atleast_2d(np.cov(known.T)))) * off).sum(axis=1)
-    for noise in likelihood.noises:
-        rest = noise.data(likelihood.data[noise.rows])[:, None] - readings[noise.rows]
-        squares = noise.squares(rest)
-        for i, kind in noise.nuisances.owners:
-            time = test.series[i].growth_time if kind == "thermal" else None
-            if time is not None and time.prior is not None:
-                off = (noise.nuisances.times - time.prior.mean) / time.prior.sd
-                squares += np.square(off)[:, None]
-        total += squares.min(axis=0)
-    return float(total.min())
+    readings = follower.readings(some, likelihood.test)
+    return float((total + likelihood.least_squares(readings).sum(axis=0)).min())
 
 
 def time_to_goal(
@@ -299,18 +210,16 @@ def time_to_goal(
     key : its number.
     ratio : of the sd that is wished over that by the readings until now.
     """
-    test, m, histories = specimen.test, follower.m, follower.histories
+    test, m = specimen.test, follower.m
     end = test.case.time.end
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    slopes = np.linalg.lstsq(
-        np.insert(specimen.unknowns[:, :m], 0, 1.0, axis=1), specimen.v, rcond=None
-    )[0][1:].T
-    by_key = {name: part @ slopes for name, part in histories.parts.items()}
+    unknowns = np.insert(specimen.unknowns[:, :m], 0, 1.0, axis=1)
+    slopes = np.linalg.lstsq(unknowns, specimen.v, rcond=None)[0][1:].T
     before = np.linalg.inv(np.atleast_2d(np.cov(follower.before[:, :m].T)))
     at, sds = np.linspace(test.times.max(), end, _TIMES), []
     for time in at:
         information, part = before, part_of(planned, planned.times <= time * (1.0 + 1e-9))
-        jacobian = histories.read(by_key, part)
+        jacobian = follower.weights(part) @ (follower.columns @ slopes)
         for noise in follower.likelihood_like(specimen, part).noises:
             middle = len(noise.nuisances.times) // 2
             information = information + noise.grams(jacobian[noise.rows], np.zeros(m), middle)
@@ -335,20 +244,20 @@ def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
 
     Wear that is random is a Gaussian process here, whose past the readings tell.
     """
-    histories, v, random = follower.histories, specimen.some(_PREDICTED).v, np.random.default_rng(1)
-    time, approach = histories.time, histories.parts["approach"]
-    depths, old = v @ (approach - approach[0]).T, specimen.likelihood.likelihood
+    time, approach = follower.time, follower.columns[follower.places["approach"]]
+    some, old, random = specimen.some(PREDICTED), specimen.likelihood, np.random.default_rng(1)
+    depths, zero = some.v @ (approach - approach[0]).T, np.zeros(len(time))
     for body, (slope, worn) in enumerate(old.setting.clocks):
         (noise,), share, most = old.noises, specimen.shares[body], follower.most[body]
-        clock = histories.setting.clocks[body][1][: len(time)]
-        readings = v @ histories.read(histories.parts, old.test).T
+        clock = follower.setting.clocks[body][1][: len(time)]
+        readings = follower.readings(some, old.test)
         node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
         across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
         rows = np.column_stack([across, noise.data(old.data)[:, None] - readings.T])
-        along = noise.grams(rows, np.repeat([0.0, 1.0], [len(time), len(v)]), node)[: len(time)]
+        data = np.repeat([0.0, 1.0], [len(time), len(some.v)])
+        along = noise.grams(rows, data, node)[: len(time)]
         variance = (share * most) ** 2 * np.minimum.outer(clock, clock) - along[:, : len(time)]
-        zero = np.zeros(len(time))
-        depths += random.multivariate_normal(zero, variance, len(v), method="eigh")
+        depths += random.multivariate_normal(zero, variance, len(some.v), method="eigh")
         depths += along[:, len(time) :].T
     return times_at(time, depths, depth)
 

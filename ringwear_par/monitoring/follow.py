@@ -5,7 +5,7 @@ Answers are written, and printed, as text and as a page, whenever the test's fil
 
 import logging
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,14 +18,15 @@ from mpi4py import MPI
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
-from ringwear_par.identification.definition.fit_file import experiment_names, read_fit
+from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import Monitor
-from ringwear_par.monitoring.follower import Follower
+from ringwear_par.monitoring.answer import answer_of
+from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
 from ringwear_par.prediction.prediction import read_depth
@@ -42,72 +43,6 @@ PAGE = "follow.html"
 _LOOK, _PAUSE = 0.2, 5.0
 #: fewest draws
 _FEWEST = 2000
-
-
-class RunningTest:
-    """An experiment of a fit file that runs, by its name; None: the last one.
-
-    Raises
-    ------
-    InputError : there is none of this name.
-    """
-
-    def __init__(self, source: Path, name: str | None) -> None:
-        #: names of all experiments
-        self.names = experiment_names(source)
-        if not self.names:  # the fit file's own sentences say why
-            read_fit(source)
-        #: the fit file, and the name of the experiment
-        self.source, self.name = source, self.names[-1] if name is None else name
-        if self.name not in self.names:
-            known = ", ".join(map(legible, self.names))
-            raise InputError(f"--test = {legible(self.name)}: must be one of {known} of {source}")
-        self._files = {source.name}
-
-    @property
-    def file_stamps(self) -> list[tuple[int, int, int]]:
-        """What changes when the fit file or a file that was read is written to."""
-        stamps = []
-        for name in sorted(self._files):
-            with suppress(OSError):  # it may be replaced just now
-                status = (self.source.parent / name).stat()
-                stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
-        return stamps
-
-    def other_tests(self) -> Problem:
-        """Return the problem of the other tests of the fit file, to be fitted before.
-
-        Raises
-        ------
-        InputError : faults of the file; there is none, or they cannot tell what scatters.
-        """
-        if len(self.names) == 1:
-            raise InputError(
-                f"{self.source}: has no test but {legible(self.name)}; --after must name the "
-                "folder of a fit of others"
-            )
-        return read_fit(self.source, running=self.name, others=True)
-
-    def read(self) -> Problem:
-        """Return the problem of this test alone, with its readings so far.
-
-        Raises
-        ------
-        InputError : its faults, and what cannot be followed.
-        """
-        problem = read_fit(self.source, running=self.name)
-        self._files |= {*problem.hashes}
-        (test,) = problem.experiments
-        faults = [
-            f"{self.source}: {legible(self.name)}: {series.file or series.name}: {assumption}; its "
-            "unit must be given"
-            for series in test.series
-            for assumption in series.assumptions
-        ]
-        if faults:
-            raise InputError(*faults)
-        series = tuple(averaged(record, test.case.time.end) for record in test.series)
-        return replace(problem, experiments=(replace(test, series=series),))
 
 
 def run_follow(
@@ -140,7 +75,7 @@ def run_follow(
     ComputationError : the histories.
     """
 
-    def begin() -> tuple[RunningTest, float, float | None]:
+    def begin() -> tuple[Problem, float, float | None]:
         faults = [
             f"--{name} = {number}: must be a whole number >= {least}"
             for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0))
@@ -150,25 +85,23 @@ def run_follow(
         if faults:
             raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
-        running = RunningTest(source, test)
-        running.read()
-        return running, percent, mm
+        return read_running(source, test or ""), percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
-    fit = after or fit_problem(on_first_rank(comm, running.other_tests), comm)
+    name = running.experiments[0].name
+    others = partial(read_fit, source, running=name, others=True)
+    fit = after or fit_problem(on_first_rank(comm, others), comm)
     known = on_first_rank(comm, lambda: fit_draws(fit))
+
+    def follower_of(problem: Problem) -> Follower:
+        problem, of, doubts = _followed(problem, after, known)
+        readings.tell(f"histories of {legible(name)}")
+        return Follower(known, of, problem, readings, draws, seed, doubts)
+
     with StopSignals() as signals:
-        readings = Readings(on_first_rank(comm, running.read), comm, signals)
-
-        def monitor_of(problem: Problem) -> Monitor:
-            problem, of, doubts = _followed(running, problem, after, known)
-            readings.tell(f"histories of {legible(running.name)}")
-            # the interval of the first wear rate is to become narrow
-            rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
-            follower = Follower(known, of, problem, readings, draws, seed)
-            return Monitor(follower, ((*rates, 0)[0], percent), mm, doubts)
-
-        readings.lead(lambda: _loop(running, monitor_of, folder, once, signals))
+        readings = Readings(running, comm, signals)
+        by = partial(answer_of, percent=percent, depth=mm)
+        readings.lead(lambda: _loop(source, name, follower_of, by, folder, once, signals))
 
 
 def _percent(text: str, faults: list[str]) -> float:
@@ -179,27 +112,46 @@ def _percent(text: str, faults: list[str]) -> float:
     return np.nan
 
 
-def _followed(
-    running: RunningTest, problem: Problem, after: Path | None, draws: Draws
-) -> tuple[Problem, str, list[str]]:
+def read_running(source: Path, name: str = "") -> Problem:
+    """Return the problem of one experiment of a fit file, "" the last, with its readings so far.
+
+    Raises
+    ------
+    InputError : there is none, its faults, and what cannot be followed.
+    """
+    problem = read_fit(source, running=name)
+    (test,) = problem.experiments
+    faults = [
+        f"{source}: {legible(test.name)}: {series.file or series.name}: {assumption}; its unit "
+        "must be given"
+        for series in test.series
+        for assumption in series.assumptions
+    ]
+    if faults:
+        raise InputError(*faults)
+    series = tuple(averaged(record, test.case.time.end) for record in test.series)
+    return replace(problem, experiments=(replace(test, series=series),))
+
+
+def _followed(problem: Problem, after: Path | None, draws: Draws) -> tuple[Problem, str, list[str]]:
     """Return the problem of a test with the random wear that the fit knows, whose test, and doubts.
 
     InputError for the test of another fit.
     """
+    (test,) = problem.experiments
     if after:
         with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
-            tested = running.name in outcome["experiments"]
+            tested = test.name in outcome["experiments"]
         if tested:
             raise InputError(
-                f"{running.source}: {legible(running.name)}: is among the tests of {after}, so "
-                "that its readings would count twice; must be followed after a fit without it"
+                f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
+                "readings would count twice; must be followed after a fit without it"
             )
     if problem.keys != draws.keys:
         raise InputError(
             f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
             "the fit of earlier tests"
         )
-    (test,) = problem.experiments
     of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
     check_predicted(draws, test.case, problem.name, of)
     sizes = zip(BODIES, draws.process.T, strict=True)
@@ -208,31 +160,28 @@ def _followed(
     return problem, of, [doubt.text for doubt in doubts_of(draws, test.case, of)]
 
 
-def frame_of(problem: Problem) -> tuple[Hashable, ...]:
-    """Return all of a problem of one test but its readings over time, which histories are for."""
-    (test,) = problem.experiments
-    return (problem.text, test.case.text, *(s.x.tobytes() for s in test.series if not s.timed))
-
-
 def _loop(
-    running: RunningTest,
-    monitor_of: Callable[[Problem], Monitor],
+    source: Path,
+    name: str,
+    follower_of: Callable[[Problem], Follower],
+    answer_by: Callable[[Follower, Problem], tuple[dict[str, Any], Specimen]],
     folder: Path,
     once: bool,
     signals: StopSignals,
 ) -> None:
     """Answer whenever the files change, until the end of the test."""
-    answer: dict[str, Any] = {}
-    stamps, warned, frame, printed, alarmed, ended = None, "", None, -_PAUSE, False, False
+    files, stamps, frame, warned = {source.name}, list[tuple[int, ...]](), None, ""
+    answer, shown, printed, alarmed, ended = dict[str, Any](), None, -_PAUSE, False, False
     while not (ended or signals.received):
-        if (present := running.file_stamps) == stamps:
+        if (present := _stamps(source.parent / file for file in sorted(files))) == stamps:
             time.sleep(_LOOK)
             continue
         stamps = present
         try:
-            problem = running.read()
-            if frame_of(problem) != frame:
-                monitor, frame = monitor_of(problem), frame_of(problem)
+            problem = read_running(source, name)
+            files |= {*problem.hashes}
+            if (present_frame := frame_of(problem)) != frame:
+                follower, frame = follower_of(problem), present_frame
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -242,22 +191,44 @@ def _loop(
             continue
         except StoppedError:
             break
-        answer = {**monitor.answer(problem), "versions": versions()}
-        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, answer)})
+        answer, specimen = answer_by(follower, problem)
+        contents = {**answer, "versions": versions()}
+        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, contents)})
         ended, alarm = once or answer["ended"], answer["alarm"] is not None
-        if not ended and (alarm > alarmed or time.monotonic() - printed > _PAUSE):
-            _show(folder, monitor, answer)
-            printed, alarmed = time.monotonic(), alarm
+        show = partial(_show, folder, answer, follower, specimen)
+        if ended or alarm > alarmed or time.monotonic() - printed > _PAUSE:
+            show()
+            shown, printed, alarmed = answer, time.monotonic(), alarm
     if not answer:
         raise StoppedError("stopped before the first answer")
-    print("\n".join([*_show(folder, monitor, answer), f"written: {folder / FOLLOW}"]))
+    if shown is not answer:
+        show()
+    print(f"written: {folder / FOLLOW}")
 
 
-def _show(folder: Path, monitor: Monitor, answer: dict[str, Any]) -> list[str]:
-    """Print an answer, and write its page; return a line about that."""
-    print("\n".join([*answer["summary"], *warning_lines(answer["doubts"])]), flush=True)
+def frame_of(problem: Problem) -> tuple[Hashable, ...]:
+    """Return all of a problem of one test but its readings over time, which histories are for."""
+    (test,) = problem.experiments
+    return (problem.text, test.case.text, *(s.x.tobytes() for s in test.series if not s.timed))
+
+
+def _stamps(files: Iterable[Path]) -> list[tuple[int, ...]]:
+    """Return what changes when files are written to."""
+    stamps = list[tuple[int, ...]]()
+    for file in files:
+        with suppress(OSError):  # it may be replaced just now
+            status = file.stat()
+            stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
+    return stamps
+
+
+def _show(folder: Path, answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -> None:
+    """Print an answer, and write its page."""
+    lines = [*answer["summary"], *warning_lines(answer["doubts"])]
     try:
         check_page(folder / PAGE)
+        page = page_of(answer, follower, specimen)
+        lines.append(f"written: {write_page(page, folder / PAGE)}")
     except InputError as error:
-        return warning_lines([str(error)])
-    return [f"written: {write_page(monitor.page(answer), folder / PAGE)}"]
+        lines += warning_lines([str(error)])
+    print("\n".join(lines), flush=True)

@@ -8,9 +8,8 @@ Methods in Practice, 197-223). All of it starts from the draws before the test, 
 before.
 """
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.special import softmax
@@ -20,6 +19,7 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import (
     Experiment,
+    Loss,
     Problem,
     Series,
     body_of_wear,
@@ -51,107 +51,6 @@ _WIDTH, _EXACT = 0.5, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Histories:
-    """Histories of a test at unknowns of its keys, from which its readings are taken."""
-
-    #: the test, read at the ends of all steps; profiles and times at which layers are worn through
-    #: as they are
-    plan: Experiment
-    #: of the readings of the plan
-    emulator: Emulator
-    #: how these follow random wear and the calibration of measured inputs
-    setting: Setting
-
-    @classmethod
-    def of(cls, readings: Readings, problem: Problem, x: FloatArray) -> "Histories":
-        """Return the histories of a problem of one test at draws (s, m). On the first rank.
-
-        Raises
-        ------
-        ComputationError : hardly any draw has a history.
-        """
-        bodies, count = len(problem.settings.process), min(_HISTORIES * x.shape[1], _MOST_HISTORIES)
-        plan, middle = _plan(problem), np.median(x, axis=0)[None]
-        readings.problem = replace(problem, experiments=(plan,))
-        settings = [Setting.before(plan)]
-        if needs_middle(readings.problem):
-            shares = np.full(bodies, _TYPICAL_SHARE)
-            settings = settings_at(readings, settings, middle, shares)
-        box = Box.about(x, *problem.unknown_bounds, _MARGIN)
-        points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
-        points = points[box.holds(points)]
-        (y,) = readings([(0, points)])
-        good = np.isfinite(y).all(axis=1)
-        if good.sum() < 2 * x.shape[1] + 2:
-            reason = f"hardly any draw has a history: {readings.reason}"
-            raise ComputationError(f"{problem.name}: {reason}")
-        sd = y[good].std(axis=0)
-        for _, part in records(plan.series):
-            sd[part] = sd[part].max() or 1.0
-        emulator, _ = emulate(box, points, y, _SCALE * sd, np.ones(good.sum()), _CLOSE)
-        return cls(plan, emulator, settings[0])
-
-    @property
-    def error(self) -> float:
-        """Largest rms error of a quantity, over its spread among the draws."""
-        return _SCALE * self.emulator.error
-
-    @property
-    def time(self) -> FloatArray:
-        """(steps,) s, ends of steps, the start included."""
-        return self.plan.series[0].x
-
-    def _by_series(self, columns: FloatArray) -> dict[str, FloatArray]:
-        return {series.name: columns[part] for series, part in records(self.plan.series)}
-
-    @cached_property
-    def parts(self) -> dict[str, FloatArray]:
-        """Readings (n, 1 + r) of the plan by 1 and the coordinates, by the names of series."""
-        return self._by_series(np.column_stack([self.emulator.mean, self.emulator.modes.T]))
-
-    def read(self, parts: Mapping[str, FloatArray], test: Experiment) -> FloatArray:
-        """Return the readings (n, ...) of a test by those of the plan, by the names of series."""
-        breaks, readings = (0.0, *test.case.breakpoints, test.case.time.end), []
-        for series in test.series:
-            part = parts[series.name]
-            if series.timed:
-                part = interpolation(self.time, series.x, breaks) @ part
-            readings.append(part)
-        return np.concatenate(readings)
-
-    def emulator_of(self, test: Experiment) -> Emulator:
-        """Return the emulator of the readings of a test."""
-        both = self.read(self.parts, test)
-        return replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
-
-    def setting_of(self, test: Experiment, *, outliers: bool = False) -> Setting:
-        """Return the setting of a test before its readings, perhaps outliers, are looked at."""
-        clocks = []
-        for felt, share in self.setting.clocks:
-            depth = np.interp(test.times, self.time, share[: len(self.time)])
-            answer = self.read(self._by_series(felt * share), test)
-            slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
-            clocks.append((slope, depth))
-        scales = tuple(self.read(self._by_series(scale), test) for scale in self.setting.scales)
-        before = Setting.before(test, "student" if outliers else "gaussian")
-        return replace(before, clocks=tuple(clocks), scales=scales)
-
-
-def _plan(problem: Problem) -> Experiment:
-    """Return a test whose readings over time are at all steps, its approach and volumes too."""
-    (test,) = problem.experiments
-    times = np.append(0.0, step_times(test))
-    bodies = map(body_of_wear, problem.settings.process)
-    always = [(q, q, 1.0) for q in ("approach", *(f"volume.{body}" for body in bodies))]
-    timed = [(s.name, s.quantity, s.density) for s in test.series if s.timed]
-    at_steps = {
-        name: Series(name, quantity, times, 0.0 * times, 0.0 * times + 1.0, density=density)
-        for name, quantity, density in (*always, *timed)
-    }
-    return replace(test, series=(*at_steps.values(), *(s for s in test.series if not s.timed)))
-
-
-@dataclass(frozen=True, eq=False)
 class Specimen:
     """Draws (s,) of the keys of the specimen under test, by its readings."""
 
@@ -161,12 +60,13 @@ class Specimen:
     v: FloatArray
     #: (bodies,) rms share of random wear
     shares: FloatArray
-    likelihood: EmulatedLikelihood
+    #: of the readings, at these shares
+    likelihood: TestLikelihood
 
     @property
     def test(self) -> Experiment:
         """The test, with these readings."""
-        return self.likelihood.likelihood.test
+        return self.likelihood.test
 
     def some(self, count: int) -> "Specimen":
         """Return about so many of the draws."""
@@ -177,7 +77,8 @@ class Specimen:
 class Follower:
     """What is known of the specimen of a running test, at any of its readings.
 
-    On the first rank, within ``Readings.lead``.
+    On the first rank, within ``Readings.lead``. Raises ComputationError where hardly any draw has a
+    history.
 
     Parameters
     ----------
@@ -185,57 +86,102 @@ class Follower:
     of : the next specimen, or one of the fit's.
     problem : of the running test.
     count, seed : number of draws, and their seed.
+    doubts : that there are before the test.
     """
 
     def __init__(
-        self, draws: Draws, of: str, problem: Problem, readings: Readings, count: int, seed: int
+        self,
+        draws: Draws,
+        of: str,
+        problem: Problem,
+        readings: Readings,
+        count: int,
+        seed: int,
+        doubts: Sequence[str] = (),
     ) -> None:
         x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
         self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
-        self.m, self.bodies = x.shape[1], [body_of_wear(key) for key in problem.settings.process]
-        self.histories = Histories.of(readings, problem, x)
-        area = problem.experiments[0].case.area
-        every = np.column_stack([x, np.log(sizes[:, [BODIES.index(body) for body in self.bodies]])])
+        #: draws at the end of a window, and how probable its readings were, by all until then
+        self.windows: dict[bytes, tuple[Specimen, float]] = {}
+        self.doubts = doubts
+        bodies = [body_of_wear(key) for key in problem.settings.process]
+        self.m, (test,) = x.shape[1], problem.experiments
+        plan = _plan(test, bodies)
+        readings.problem = replace(problem, experiments=(plan,))
+        #: of the readings of the plan; how these follow random wear and calibrations of inputs
+        self.emulator, self.setting = _emulated(readings, x)
+        #: (steps,) s, ends of steps, the start included
+        self.time = plan.series[0].x
+        #: readings (n, 1 + r) of the plan by 1 and the coordinates; where those of series are
+        self.columns = np.column_stack([self.emulator.mean, self.emulator.modes.T])
+        self.places = {series.name: part for series, part in records(plan.series)}
+        sizes = np.log(sizes[:, [BODIES.index(body) for body in bodies]])
         #: (s, m + bodies) before the test, see ``Specimen``
-        self.before = every[self.histories.emulator.holds(x)]
+        self.before = np.column_stack([x, sizes])[self.emulator.holds(x)]
         self._v = self._coordinates(self.before)
         # (bodies, 1 + r) mm, worn at the end of the test
-        ends = [self.histories.parts[f"volume.{body}"][-1] / area for body in self.bodies]
-        self._depths = np.reshape(ends, (len(ends), self._v.shape[1]))
-        #: (bodies,) of the middle of the draws, of which shares are
+        ends = [self.places[f"volume.{body}"].stop - 1 for body in bodies]
+        self._depths = self.columns[ends] / test.case.area
+        #: (bodies,) mm, of the middle of the draws, of which shares are
         self.most = self._depths @ self._coordinates(np.median(x, axis=0)[None])[0]
 
+    @property
+    def error(self) -> float:
+        """Largest rms error of a quantity of histories, over its spread among the draws."""
+        return _SCALE * self.emulator.error
+
     def _coordinates(self, x: FloatArray) -> FloatArray:
-        return np.insert(self.histories.emulator.coordinates(x[:, : self.m]), 0, 1.0, axis=1)
+        return np.insert(self.emulator.coordinates(x[:, : self.m]), 0, 1.0, axis=1)
 
     def _shares(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return the shares (s, bodies) of random wear: by its size, and the depth of the draw."""
         sizes, depths = np.exp(x[:, self.m :]), np.maximum(v @ self._depths.T, 0.0)
         return np.clip(np.sqrt(sizes * depths) / self.most, *np.exp(LOG_SHARES))
 
+    def weights(self, test: Experiment) -> FloatArray:
+        """Return what readings (n,) of a test are of those of the plan, (n, n of the plan)."""
+        breaks = (0.0, *test.case.breakpoints, test.case.time.end)
+        weights = np.zeros((test.n, len(self.columns)))
+        for series, rows in records(test.series):
+            part = interpolation(self.time, series.x, breaks) if series.timed else np.eye(series.n)
+            weights[rows, self.places[series.name]] = part
+        return weights
+
+    def readings(self, specimen: Specimen, test: Experiment) -> FloatArray:
+        """Return the readings (s, n) of a test by the draws of a specimen."""
+        return specimen.v @ (self.weights(test) @ self.columns).T
+
+    def _setting_of(self, test: Experiment, loss: Loss) -> Setting:
+        """Return the setting of a test before its readings are looked at."""
+        clocks, weights = [], self.weights(test)
+        for felt, share in self.setting.clocks:
+            depth = np.interp(test.times, self.time, share[: len(self.time)])
+            answer = weights @ (felt * share)
+            slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
+            clocks.append((slope, depth))
+        scales = tuple(weights @ scale for scale in self.setting.scales)
+        before = Setting.before(test, loss)
+        return replace(before, clocks=tuple(clocks), scales=scales)
+
     def update(self, test: Experiment) -> Specimen:
         """Return the draws by the readings of a test."""
-        loss, rms = self.problem.settings.loss, _rms(self._shares(self.before, self._v))
-        setting = self.histories.setting_of(test, outliers=loss == "student")
-        specimen = self._weighed(test, setting, rms)
+        loss, shares = self.problem.settings.loss, _rms(self._shares(self.before, self._v))
+        specimen = self._weighed(TestLikelihood(test, self._setting_of(test, loss), shares))
         if needs_middle(self.problem):  # which these draws tell
-            setting = specimen.likelihood.likelihood.adapted(self.middle(specimen, test), loss)
-            specimen = self._weighed(test, setting, specimen.shares)
+            middle = self.readings(specimen, test).mean(axis=0)
+            setting = specimen.likelihood.adapted(middle, loss)
+            specimen = self._weighed(TestLikelihood(test, setting, specimen.shares))
         return specimen
 
-    def middle(self, specimen: Specimen, test: Experiment) -> FloatArray:
-        """Return the readings (n,) of a test by the mean history."""
-        return self.histories.read(self.histories.parts, test) @ specimen.v.mean(axis=0)
-
-    def _weighed(self, test: Experiment, setting: Setting, shares: FloatArray) -> Specimen:
-        """Return the draws by a likelihood, whose noise has some shares (bodies,) of wear."""
-        likelihood = EmulatedLikelihood(
-            TestLikelihood(test, setting, shares), self.histories.emulator_of(test)
-        )
+    def _weighed(self, likelihood: TestLikelihood) -> Specimen:
+        """Return the draws by a likelihood."""
+        both = self.weights(likelihood.test) @ self.columns
+        emulator = replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
+        emulated = EmulatedLikelihood(likelihood, emulator)
         random = np.random.default_rng(self._seed + 1)
         x, v, left = self.before, self._v, 1.0
         while left:
-            log_p = likelihood(v[:, 1:], self._shares(x, v))
+            log_p = emulated(v[:, 1:], self._shares(x, v))
             power, weights = left, softmax(left * log_p)
             while 1.0 / (weights @ weights) < _ENOUGH * len(x):
                 power *= _LESS
@@ -260,16 +206,53 @@ class Follower:
         step = random.standard_normal((count, d)) @ np.linalg.cholesky(covariance).T
         x = mean + np.sqrt(1.0 - width**2) * (x[rows] - mean) + width * step
         x[:, : self.m] = reflected(x[:, : self.m], *self.problem.unknown_bounds)
-        return x[self.histories.emulator.holds(x[:, : self.m])]
+        return x[self.emulator.holds(x[:, : self.m])]
 
     def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
-        """Return the likelihood of other readings: noise as of the specimen's."""
-        setting, old = self.histories.setting_of(test), specimen.likelihood.likelihood
+        """Return the likelihood of other readings, whose noise is that of the specimen's."""
+        old = specimen.likelihood
         known = {
             s.name: np.median(old.setting.sd[part] / s.sd) for s, part in records(old.test.series)
         }
         sd = [known.get(s.name, 1.0) * s.sd for s in test.series]
-        return TestLikelihood(test, replace(setting, sd=np.concatenate(sd)), specimen.shares)
+        setting = replace(self._setting_of(test, "gaussian"), sd=np.concatenate(sd))
+        return TestLikelihood(test, setting, specimen.shares)
+
+
+def _plan(test: Experiment, bodies: Sequence[str]) -> Experiment:
+    """Return a test whose readings over time are at all steps, its approach and volumes too."""
+    times = np.append(0.0, step_times(test))
+    quantities = ("approach", *(f"volume.{body}" for body in bodies))
+    always = [(quantity, quantity, 1.0) for quantity in quantities]
+    timed = [(s.name, s.quantity, s.density) for s in test.series if s.timed]
+    at_steps = {
+        name: Series(name, quantity, times, 0.0 * times, 0.0 * times + 1.0, density=density)
+        for name, quantity, density in (*always, *timed)
+    }
+    return replace(test, series=(*at_steps.values(), *(s for s in test.series if not s.timed)))
+
+
+def _emulated(readings: Readings, x: FloatArray) -> tuple[Emulator, Setting]:
+    """Return the emulator and the setting of the one test of ``readings``, at draws (s, m)."""
+    problem, (plan,) = readings.problem, readings.problem.experiments
+    bodies, count = len(problem.settings.process), min(_HISTORIES * x.shape[1], _MOST_HISTORIES)
+    settings = [Setting.before(plan)]
+    if needs_middle(problem):
+        middle, shares = np.median(x, axis=0)[None], np.full(bodies, _TYPICAL_SHARE)
+        settings = settings_at(readings, settings, middle, shares)
+    box = Box.about(x, *problem.unknown_bounds, _MARGIN)
+    points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
+    points = points[box.holds(points)]
+    (y,) = readings([(0, points)])
+    good = np.isfinite(y).all(axis=1)
+    if good.sum() < 2 * x.shape[1] + 2:
+        reason = f"hardly any draw has a history: {readings.reason}"
+        raise ComputationError(f"{problem.name}: {reason}")
+    sd = y[good].std(axis=0)
+    for _, part in records(plan.series):
+        sd[part] = sd[part].max() or 1.0
+    emulator, _ = emulate(box, points, y, _SCALE * sd, np.ones(good.sum()), _CLOSE)
+    return emulator, settings[0]
 
 
 def _rms(shares: FloatArray) -> FloatArray:

@@ -197,21 +197,19 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
             '(scatter = "fit" where there are repeats)'
         )
         doubts.append(ValidityWarning("no-scatter", text))
-    for (name, unit), value, tests in zip(
-        CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), draws.conditions.T,
-        strict=True,
-    ):  # fmt: skip
-        if np.isnan(value) or np.isnan(tests).all():
-            continue
-        low, high = float(np.nanmin(tests)), float(np.nanmax(tests))
+    # NaN of what the fit does not know, or the case does not have
+    lowest, highest = (f.reduce(draws.conditions) for f in (np.fmin, np.fmax))
+    values = conditions_of(case, draws.keys)
+    numbers = (of.tolist() for of in (values, lowest, highest))
+    for (name, unit), value, low, high in zip(CONDITIONS.items(), *numbers, strict=True):
         # a shorter test is a part of a longer one
         least = 0.0 if name == "distance" else low * (1.0 - _SAME)
-        if not least <= value <= high * (1.0 + _SAME):
+        if value < least or value > high * (1.0 + _SAME):
             symbol = f" {unit}" if unit != "1" else ""
             tested = " to ".join(dict.fromkeys((f"{low:.4g}", f"{high:.4g}")))
             text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {tested}{symbol}"
-            numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
-            doubts.append(ValidityWarning("extrapolates", text, values=numbers))
+            entries = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
+            doubts.append(ValidityWarning("extrapolates", text, values=entries))
     return tuple(doubts)
 
 

@@ -1,6 +1,6 @@
 """A prediction: histories of a case at draws of what a fit knows, their bands and their folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,14 +87,8 @@ def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
 
     Linear between steps, whose ends are at ``time`` (steps,).
     """
-    reached = depths >= depth
-    after = np.argmax(reached, axis=1)
-    draws = np.arange(len(after))
-    high, low = (depths[draws, np.maximum(k, 0)] for k in (after, after - 1))
-    share = np.divide(depth - low, high - low, out=np.ones_like(high), where=high > low)
-    before = time[np.maximum(after - 1, 0)]
-    times = before + share * (time[after] - before)
-    return np.where(reached.any(axis=1), times, np.inf)
+    deepest = np.maximum.accumulate(depths, axis=1)
+    return np.array([np.interp(depth, reached, time, right=np.inf) for reached in deepest])
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +187,7 @@ class Prediction(Outcome):
         folder = Path(path)
         with folders.new_files(folder, FILES, "predict"):
             with atomic_hdf5(folder / folders.DRAWS) as file:
-                file.attrs.update(self._attributes)
+                file.attrs.update({"software": SOFTWARE, **self._attributes})
                 for variable, values in self._variables():
                     write_variable(file, variable, values)
             contents = {
@@ -209,30 +203,29 @@ class Prediction(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        return to_dataset(self._variables(), self._attributes, ["time"])
+        return to_dataset([*self._variables()], self._attributes, ["time"])
 
     @property
     def _attributes(self) -> dict[str, Any]:
         about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
-        return {"software": SOFTWARE, **about, **versions()}
+        return {**about, **versions()}
 
-    def _variables(self) -> list[tuple[Variable, Any]]:
-        """Return all variables with their values: histories over (draw, step), values over draw."""
-        lengths = {"draw": len(self.values), "step": len(self.time)}
-        variables: list[tuple[Variable, Any]] = [
-            (Variable(name, (name,), "1", f"number of the {name}", integer=True), np.arange(n))
-            for name, n in lengths.items()
-        ]
-        variables.append((Variable("time", ("step",), "s", "time"), self.time))
+    def _variables(self) -> Iterator[tuple[Variable, Any]]:
+        """Yield all variables with their values, the dimensions first."""
+        for name, count in (("draw", len(self.values)), ("step", len(self.time))):
+            yield (
+                Variable(name, (name,), "1", f"number of the {name}", integer=True),
+                np.arange(count),
+            )
+        yield Variable("time", ("step",), "s", "time"), self.time
         for name, values in self.histories.items():
-            variables.append((replace(HISTORIES[name], dimensions=("draw", "step")), values))
-        columns = [(key, unit, "value of the fitted key") for key, unit in self.keys.items()]
-        columns += [(f"process.wear.{body}", "mm", "size of the random wear") for body in BODIES]
-        every = np.column_stack([self.values, self.sizes]).T
-        for (key, unit, meaning), values in zip(columns, every, strict=True):
-            if key in self.keys or values.any():
-                variables.append((Variable(key, ("draw",), unit, meaning), values))
-        return variables
+            yield replace(HISTORIES[name], dimensions=("draw", "step")), values
+        for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True):
+            yield Variable(key, ("draw",), unit, "value of the fitted key"), values
+        for body, sizes in zip(BODIES, self.sizes.T, strict=True):
+            if sizes.any():
+                name, meaning = f"process.wear.{body}", "size of the random wear"
+                yield Variable(name, ("draw",), "mm", meaning), sizes
 
 
 def _lines(content: Mapping[str, Any]) -> list[str]:

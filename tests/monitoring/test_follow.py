@@ -23,8 +23,8 @@ from parts import (
 from scipy.special import logsumexp
 
 import ringwear_par as rw
-from ringwear_par.monitoring.answer import Monitor, part_of, time_to
-from ringwear_par.monitoring.follow import RunningTest, run_follow
+from ringwear_par.monitoring.answer import answer_of, part_of, time_to
+from ringwear_par.monitoring.follow import read_running, run_follow
 from ringwear_par.monitoring.follower import Follower
 
 pytestmark = pytest.mark.slow
@@ -74,7 +74,7 @@ def running(folder, name="z", more=(), **changed):
 
 def problem_of(path, **settings):
     """Return the problem of a running test."""
-    problem = RunningTest(path, None).read()
+    problem = read_running(path)
     return replace(problem, settings=replace(problem.settings, **settings))
 
 
@@ -84,8 +84,8 @@ def follower_of(problem, draws, count=20_000):
         return Follower(draws, "next specimen", problem, readings, count, 0)
 
 
-def monitor_of(problem, draws, depth=None):
-    return Monitor(follower_of(problem, draws), (0, 5.0), depth)
+def answered(follower, problem, depth=None):
+    return answer_of(follower, problem, 5.0, depth)[0]
 
 
 def by_hand(problem, k, size=0.0, middle=MATERIAL, fitted=False):
@@ -202,14 +202,14 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
     draws, times = fit_draws(folder / "fit"), np.linspace(2.0, END, 60)
     problem = problem_of(running(folder, "z", nuisance=WARM))
     (test,) = problem.experiments
-    monitor, alarms, inside = monitor_of(problem, draws), 0, 0
+    follower, alarms, inside = follower_of(problem, draws), 0, 0
 
     def answer(k, seed, later=1.0):
         _, z = clean(seed, k, 2e-4, np.where(times < 50, times, 50 + later * (times - 50)), 0.0)
         growth = -3e-3 * (1.0 - np.exp(-times / max(20.0 + 7.0 * random.standard_normal(), 4.0)))
         sd = np.full(60, 2e-4)
         series = replace(test.series[0], x=times, value=z + growth, sd=sd, lines=None)
-        return monitor.answer(replace(problem, experiments=(replace(test, series=(series,)),)))
+        return answered(follower, replace(problem, experiments=(replace(test, series=(series,)),)))
 
     for seed in range(20):
         k = MATERIAL * np.exp(np.hypot(0.1, TAU) * random.standard_normal())
@@ -230,10 +230,10 @@ def test_readings_in_one_portion_or_many(folder):
     problem, draws = problem_of(running(folder)), fit_draws(folder / "fit")
     (test,) = problem.experiments
     other = replace(test, series=(replace(test.series[0], value=0.7 * test.series[0].value),))
-    monitor = monitor_of(problem, draws, 5e-3)
+    follower = follower_of(problem, draws)
     for part in (other, *(part_of(test, test.times <= until) for until in (17.0, 40.0, END))):
-        answer = monitor.answer(replace(problem, experiments=(part,)))
-    assert json.dumps(answer) == json.dumps(monitor_of(problem, draws, 5e-3).answer(problem))
+        answer = answered(follower, replace(problem, experiments=(part,)), 5e-3)
+    assert json.dumps(answer) == json.dumps(answered(follower_of(problem, draws), problem, 5e-3))
 
 
 def test_profiles_limits_and_an_sd_that_is_fitted(folder):
@@ -259,7 +259,7 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     exact = quantiles_of(x, likelihood(y) - 0.5 * (x - np.log(MATERIAL)) ** 2 / (0.1**2 + TAU**2))
     check(quantiles_of_draws(follower_of(problem, draws).update(test)), exact)
     assert exact[2] - exact[0] < 0.1 * np.ptp(quantiles_of(*by_hand(alone, TRUE_K)))
-    assert monitor_of(problem, draws).answer(problem)["alarm"] is None
+    assert answered(follower_of(problem, draws), problem)["alarm"] is None
 
 
 def test_measured_friction_as_far_as_it_was_read(folder):

@@ -1,7 +1,8 @@
 """``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +23,6 @@ from ringwear_par.cases.units import (
     factor,
     has_unit,
     number_and_unit,
-    unit_of_anything,
     unit_of_column,
 )
 from ringwear_par.cases.values import RejectedError
@@ -31,12 +31,10 @@ from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem, Series
-from ringwear_par.identification.definition.schema import SD
+from ringwear_par.identification.definition.schema import read_all
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
-#: s; records that begin so late, but within a day, may have times of day
-_HOUR = 3600.0
 #: share of the largest reading below which a relative error means nothing
 _NEAR_ZERO = 0.05
 #: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
@@ -53,12 +51,14 @@ class Readings:
     rows: BoolArray | None = None
 
 
-def _series(
-    kind: str, x: FloatArray, value: FloatArray, unit: str, scale: float, **more: Any
-) -> Series:
-    """Return times or radii (n,) and values, in the units of a case, as a series."""
-    sd = np.full(len(x), np.nan)
-    return Series(kind, kind, x, value, sd, unit=unit, factor=scale, **more)
+@contextmanager
+def _as_faults(reader: TableReader, key: str) -> Iterator[None]:
+    """Add the faults of an InputError to those of a key."""
+    try:
+        yield
+    except InputError as error:
+        for fault in error.faults:
+            reader.fault(fault, key)
 
 
 def read_readings(
@@ -69,68 +69,65 @@ def read_readings(
     None, and faults, where there are none; ``kind`` is a name in ``READING_KINDS``.
     """
     where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
-    single_key = next((key for key in ("file", *once) if key in reader), "")
-    if single_key and where in reader:
+    sources = once if kind == "through" else ("file", *once)
+    source = next((key for key in sources if key in reader), "")
+    if source and where in reader:
         reader.raw(where)
-        reader.wrong(
-            where,
-            f"must be absent beside {single_key}; it is for readings that are planned",
-            "conflict",
-        )
-    if "file" in reader and kind != "through":
+        rule = f"must be absent beside {source}; it is for readings that are planned"
+        reader.wrong(where, rule, "conflict")
+    if source == "file":
         return _from_file(reader, kind, end, files)
-    if "value" in reader and kind != "profile":
-        return _single(reader, kind, end if at is None else at)
-    return _planned(reader, kind, at, end, plans)
-
-
-def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
-    written = reader.raw("value")
-    if has_unit(written) and "unit" not in reader:
-        unit, base = number_and_unit(written)[1], BASE[kind]
-        try:
-            scale: float | None = factor(unit, base)
-        except RejectedError:
-            reader.wrong("value", f"must be in the unit of {UNITS[base]}", "unit")
-            return None
-    elif isinstance(written, str) and "unit" not in reader:  # no number, with a unit or without
-        reader.read("value")
+    planned = source != "value"
+    if planned and not _may_be_planned(reader, kind, where, at, plans):
         return None
-    else:
-        unit, scale = _unit(reader, kind)
-    single = None if scale is None else reader.read("value", unit=unit)
-    if single is None or scale is None:
-        return None
-    return Readings(_series(kind, np.array([at]), np.array([scale * single]), unit, scale))
-
-
-def _planned(
-    reader: TableReader, kind: str, at: float | None, end: float, plans: bool
-) -> Readings | None:
-    """Return readings that are planned; None, and faults, where there are none."""
-    where = "r" if kind == "profile" else "times"
-    once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
-    usual = "value" if once else "file"
-    rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
-    if not (once or where in reader):
-        for key in ("columns", "units", "skip", "drop"):  # of a file
-            reader.raw(key)
-        reader.wrong(usual, rule)
-        return None
+    value, key, unit = None if planned else reader.raw("value"), "unit", reader.raw("unit", "")
+    if isinstance(value, str) and "unit" not in reader:
+        key, unit = "value", number_and_unit(value)[1] if has_unit(value) else BASE[kind]
+    scale = _factor(reader, key, str(unit), BASE[kind])
     x = np.array([end if at is None else at])
-    if where in reader:
+    if planned and where in reader:
         x = reader.read(where)
-    unit, scale = _unit(reader, kind)
-    if not plans:
-        reader.wrong(usual, rule)
-    if x is None or scale is None:
+    single = 0.0 if planned or scale is None else reader.read("value", unit=str(unit))
+    if x is None or scale is None or single is None:
         return None
-    return Readings(_series(kind, x, np.zeros(len(x)), unit, scale, planned=True))
+    values = np.full(len(x), scale * single)
+    return Readings(_series(kind, x, values, str(unit), scale, planned=planned))
 
 
-def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
-    unit = str(reader.raw("unit") or "")
-    return unit, _unit_factor(reader, "unit", unit, BASE[kind])
+def _may_be_planned(
+    reader: TableReader, kind: str, where: str, at: float | None, plans: bool
+) -> bool:
+    """Tell whether readings that are neither in a file nor a value may be planned; add faults."""
+    once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
+    enough = once or where in reader
+    if not enough or not plans:
+        rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
+        reader.wrong("value" if once else "file", rule)
+    for key in () if enough else ("columns", "units", "skip", "drop"):  # of a file
+        reader.raw(key)
+    return enough
+
+
+def _series(
+    kind: str, x: FloatArray, value: FloatArray, unit: str, scale: float, **more: Any
+) -> Series:
+    """Return times or radii (n,) and values, in the units of a case, as a series."""
+    sd = np.full(len(x), np.nan)
+    return Series(kind, kind, x, value, sd, unit=unit, factor=scale, **more)
+
+
+def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
+    """Return a unit in that of the program; None, and a fault of a key, where it is another's."""
+    try:
+        return factor(unit, base)
+    except RejectedError:
+        rule = f"must be the unit of {UNITS[base]}"
+        if unit and key in reader:
+            reader.wrong(key, rule, "unit")
+        else:
+            state = f"= {shortened(unit)}" if unit else "is missing"
+            reader.fault(f"{key} {state}: {rule}", key, "unit")
+        return None
 
 
 def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> Readings | None:
@@ -141,174 +138,124 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
             reader.wrong(key, "must be absent beside file", "conflict")
     roles = ("r" if kind == "profile" else "time", "value")
     columns, units = (read_texts(reader, key, roles) for key in ("columns", "units"))
-    if columns is None or units is None or name is None:
+    data: Measurements | None = None
+    if name is not None:
+        with _as_faults(reader, "file"):
+            data = files(name, skip, drop)
+    if columns is None or units is None or data is None:
         return None
-    try:
-        data = files(name, skip, drop)
-    except InputError as error:
-        for fault in error.faults:
-            reader.fault(fault, "file")
-        return None
-    column_names, units_by_role, factors = {}, {}, {}
-    assumed: list[str] = []  # roles
     if not columns and len(data.columns) == len(roles) and not {*roles} & {*data.columns}:
         columns = dict(zip(roles, data.columns, strict=True))
-    for role in roles:
-        column = columns.get(role, role)
-        if missing := missing_column(data, column, role):
-            reader.fault(missing, "columns")
-            continue
-        base = BASE[kind if role == "value" else role]
-        try:
-            hint = f", or units.{role} must be given"
-            unit = units.get(role) or unit_by_name(data, column, base, hint) or ""
-        except InputError as error:
-            for fault in error.faults:
-                reader.fault(fault, "units")
-            continue
-        if not unit:
-            unit = base
-            assumed.append(role)
-        scale = _unit_factor(reader, f"units.{role}", unit, base)
-        if scale is None:
-            continue
-        if named := _other_unit(data.label(column), unit):
-            reader.fault(
-                f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
-                f"in {named} by its name; must be the same unit",
-                "units",
-                "unit",
-            )
-        column_names[role], units_by_role[role], factors[role] = column, unit, scale
-    if len(column_names) < len(roles):
+    names = [columns.get(role, role) for role in roles]
+    bases = BASE[roles[0]], BASE[kind]
+    found = [
+        _column_unit(reader, data, role, name, units.get(role), base)
+        for role, name, base in zip(roles, names, bases, strict=True)
+    ]
+    if found[0] is None or found[1] is None:
         return None
-    rows = data.filled(*column_names.values())
-    if "time" in column_names:
-        rows = data.first_stamps(column_names["time"], rows)
-    hour = factor("h", "s") / factors["time"] if "time" in roles else None
-    x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
-    doubts: list[str] = []
-    if hour is not None and len(x) and is_clock(data.first_cell(column_names["time"])):
-        first = legible(data.first_cell(column_names["time"]))
-        if x[0] > end:
-            x = x - x[0]
-            doubts.append(
-                f"the times begin with {first}, after the end of the test; they are taken as times "
-                "of day, that of the first reading as 0"
-            )
-        elif _HOUR <= x[0] < 24.0 * _HOUR:
-            doubts.append(
-                f"the times begin with {first}, taken as elapsed since the start of the test; if "
-                "they are times of day, their column must have the date before them"
-            )
-    value = factors["value"] * _column(reader, data, column_names["value"], rows)
-    if "time" in assumed and data.names_seconds(column_names["time"], rows):
-        assumed.remove("time")
-    sentences = [assumption(column_names[role], units_by_role[role]) for role in assumed]
+    (x_unit, x_scale), (unit, scale) = found[0], found[1]
+    rows, hour, timed = data.filled(*names), None, roles[0] == "time"
+    if timed:
+        rows, hour = data.first_stamps(names[0], rows), 3600.0 / x_scale
+    x, value = np.full((2, int(rows.sum())), np.nan)
+    with _as_faults(reader, "file"):
+        x = x_scale * data.numbers(names[0], rows, hour)
+    with _as_faults(reader, "file"):
+        value = scale * data.numbers(names[1], rows)
+    doubts: tuple[str, ...] = ()
+    if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
+        x = x - x[0]
+        sentence = "after the end of the test; they are taken as times of day, that of the first"
+        doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
+    known = (x_unit or (timed and data.names_seconds(names[0], rows)), unit)
+    assumptions = tuple(
+        assumption(column, base)
+        for column, base, unit_known in zip(names, bases, known, strict=True)
+        if not unit_known
+    )
     series = _series(
-        kind, x, value, units_by_role["value"], factors["value"], assumptions=tuple(sentences),
-        suspicions=tuple(doubts), lines=data.lines[rows], file=data.name,
+        kind, x, value, unit or bases[1], scale, assumptions=assumptions, suspicions=doubts,
+        lines=data.lines[rows], file=data.name,
     )  # fmt: skip
     return Readings(series, data, rows)
 
 
-def _other_unit(column: str, unit: str) -> str:
-    """Return the unit that a column's name ends with where it is not this one, else ""."""
-    named = unit_of_column(column, unit)
-    return "" if named is None or math.isclose(factor(named, unit), 1.0) else legible(named)
+def _column_unit(
+    reader: TableReader, data: Measurements, role: str, column: str, unit: str | None, base: str
+) -> tuple[str, float] | None:
+    """Return the unit of a column, "" where none is known, and its size in that of the program.
 
-
-def _column(
-    reader: TableReader, data: Measurements, name: str, rows: BoolArray, hour: float | None = None
-) -> FloatArray:
-    try:
-        return data.numbers(name, rows, hour)
-    except InputError as error:
-        for fault in error.faults:
-            reader.fault(fault, "file")
-        return np.full(int(rows.sum()), np.nan)
-
-
-def _unit_factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
-    try:
-        return factor(unit, base)
-    except RejectedError:
-        state = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {state}: must be the unit of {UNITS[base]}", key, "unit")
+    None, and a fault, where there is no such column, or in a unit of something else.
+    """
+    if missing := missing_column(data, column, role):
+        reader.fault(missing, "columns")
         return None
+    faults, named = len(reader.faults), unit_of_column(data.label(column), base)
+    if not (unit or named):
+        with _as_faults(reader, "units"):  # one of something else
+            unit_by_name(data, column, base, f", or units.{role} must be given")
+    scale = _factor(reader, f"units.{role}", unit or named or base, base)
+    if scale and named and not math.isclose(factor(named, base), scale):
+        sentence = f"the column {legible(column)} of {data.name} is in {legible(named)} by its name"
+        state = f"units.{role} = {shortened(unit)}: {sentence}; must be the same unit"
+        reader.fault(state, "units", "unit")
+    return None if scale is None or len(reader.faults) > faults else (unit or named or "", scale)
 
 
 def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
-    entry, series, data = reader.raw("sd"), readings.series, readings.data
-    value = series.value
+    entry, series = reader.raw("sd"), readings.series
+    value, named = series.value, isinstance(entry, str) and not has_unit(entry)
     unknown = np.full(len(value), np.nan)
-    named = isinstance(entry, str) and not has_unit(entry)
     if series.planned and (named or isinstance(entry, Mapping)):
         reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
-        return unknown, False
-    if named and entry != "fit":
-        if data is None:
-            reader.wrong("sd", "must be a number > 0 or { relative = x }")
-            return unknown, False
-        return _sd_column(reader, entry, readings), False
-    if entry == "fit":
+    elif entry == "fit":
         if keep.sum() < _SMOOTH:
             more = "" if keep.all() else " that are not excluded"
             reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
         return np.full(len(value), _scatter(value[keep])), True
-    if isinstance(entry, Mapping):
-        share = TableReader(f"{reader.place}: sd", entry, [], SD)
-        relative = share.read("relative")
-        if relative is None or set(entry) != {"relative"}:
-            reader.wrong("sd", "must be { relative = x }, a number > 0")
-            return unknown, False
-        if not len(value):  # which is reported of all readings
-            return unknown, False
-        smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
+    elif named and readings.data is None:
+        reader.wrong("sd", "must be a number > 0 or { relative = x }")
+    elif named:
+        return _sd_column(reader, str(entry), readings), False
+    elif isinstance(entry, Mapping):
+        place = f"{reader.place}: sd"
+        _, (relative,) = read_all("experiment.data.sd", place, entry, reader.faults)
+        smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)) or 1, mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
-        if small.any():
-            line = lines_of(series)[np.flatnonzero(small)[0]]
-            reader.wrong(
-                "sd", f"{line}must be in the data's unit where readings are near zero, as here"
-            )
-            return unknown, False
-        return relative * smooth, False
-    single = reader.read("sd", unit=series.unit)
-    return np.full(len(value), math.nan if single is None else series.factor * single), False
+        if relative is not None and small.any():
+            line = lines_of(series)[int(small.argmax())]
+            rule = "must be in the data's unit where readings are near zero, as here"
+            reader.wrong("sd", f"{line}{rule}")
+        elif relative is not None:
+            return relative * smooth, False
+    else:
+        single = reader.read("sd", unit=series.unit)
+        return unknown if single is None else np.full(len(value), series.factor * single), False
+    return unknown, False
 
 
 def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArray:
-    """Return the standard deviations in a column of a table."""
+    """Return the standard deviations in a column, in its own unit or that of the readings."""
     data, rows, series = readings.data, readings.rows, readings.series
     assert data is not None
     assert rows is not None
-    unknown, lines = np.full(series.n, np.nan), lines_of(series)
+    sd, lines, base = np.full(series.n, np.nan), lines_of(series), BASE[series.kind]
     if column not in data.columns:
-        reader.wrong(
-            "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
-        )
-        return unknown
-    label = data.label(column)
-    named = _other_unit(label, series.unit)
-    if not named and unit_of_column(label, series.unit) is None:
-        named = legible(unit_of_anything(label) or "")
-    if named:
-        reader.wrong(
-            "sd",
-            f"the column is in {named} by its name; must be in {series.unit}, as the readings",
-            "unit",
-        )
-        return unknown
+        rule = f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
+        reader.wrong("sd", rule)
+        return sd
     filled = data.filled(column)[rows]
     if not filled.all():
-        first = lines[int(np.flatnonzero(~filled)[0])]
-        reader.fault(f"{first}{column} is empty; must be a number > 0")
-        return unknown
-    sd = series.factor * _column(reader, data, column, rows)
-    if (wrong := np.flatnonzero(sd <= 0)).size:
-        values = f"{column} = {sd[wrong[0]] / series.factor:g}{and_more(wrong.size, 'line')}"
-        reader.fault(f"{lines[wrong[0]]}{values}: must be a number > 0")
+        reader.fault(f"{lines[int(filled.argmin())]}{column} is empty; must be a number > 0")
+        return sd
+    with _as_faults(reader, "sd"):
+        scale = factor(unit_by_name(data, column, base) or series.unit, base)
+        sd = scale * data.numbers(column, rows)
+        if (wrong := np.flatnonzero(sd <= 0)).size:
+            values = f"{column} = {sd[wrong[0]] / scale:g}{and_more(wrong.size, 'line')}"
+            reader.fault(f"{lines[wrong[0]]}{values}: must be a number > 0")
     return sd
 
 

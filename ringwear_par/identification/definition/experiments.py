@@ -1,31 +1,28 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import changes_of, in_full, override
+from ringwear_par.cases.files.keys import changes_of, override
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import input_keys, read_inputs, with_places
+from ringwear_par.identification.definition.inputs import input_keys, read_inputs
 from ringwear_par.identification.definition.problem import (
+    GROUPS,
     Experiment,
     FittedParameter,
     MeasuredInput,
     Series,
 )
-from ringwear_par.identification.definition.scatter import read_groups
-from ringwear_par.identification.definition.schema import EXPERIMENT
+from ringwear_par.identification.definition.schema import reader_of
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -36,173 +33,124 @@ _OUTPUT = {
 }  # fmt: skip
 
 
+@dataclass
 class ExperimentReader:
-    """Reads the experiments, of the base case (None where it has faults) and under other laws."""
+    """Reads the experiments of a fit file under one law."""
 
-    def __init__(
-        self,
-        name: str,
-        folder: Path,
-        base: dict[str, Any] | None,
-        files: FileStore,
-        plans: bool,
-    ) -> None:
-        self._name, self._folder, self._base, self._files = name, folder, base, files
-        self._plans = plans
-        self._keys: dict[str, dict[str, Any]] = {}
+    #: of the fit file in messages, with that of another law
+    name: str
+    folder: Path
+    #: keys of the base case; None where it has faults
+    base: Mapping[str, Any] | None
+    files: FileStore
+    #: whether readings may be planned
+    plans: bool
+    parameters: tuple[FittedParameter, ...]
+    faults: list[str]
+    #: case keys of another law
+    law: Mapping[str, Any] | None = None
 
-    def all(
-        self,
-        tables: Sequence[tuple[str, Any]],
-        parameters: tuple[FittedParameter, ...],
-        faults: list[str],
-    ) -> tuple[Experiment, ...]:
+    def all(self, tables: Sequence[tuple[str, Any]]) -> tuple[Experiment, ...]:
         """Return all experiments, and add what is wrong with them to the faults.
 
         Parameters
         ----------
         tables : of the fit file, each with where it stands.
         """
-        experiments: list[Experiment] = []
-        for place, table in tables:
-            experiment = self._experiment(place, table, parameters, faults)
-            if experiment is not None:
-                experiments.append(experiment)
-        _refuse_twins(self._name, experiments, faults)
-        return tuple(experiments)
+        every = [self._experiment(place, table) for place, table in tables]
+        experiments = tuple(experiment for experiment in every if experiment is not None)
+        self._refuse_twins(experiments)
+        return experiments
 
-    def _experiment(
-        self, place: str, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
-    ) -> Experiment | None:
-        reader = TableReader(f"{self._name}: {place}", table, faults, EXPERIMENT)
+    def _experiment(self, place: str, table: Any) -> Experiment | None:
+        reader = reader_of("experiment", f"{self.name}: {place}", table, self.faults)
         name = reader.read("name")
         if name is None:
             return None
         row = "" if place.startswith("experiment ") else f"{place}: "
-        place = reader.place = f'{self._name}: {row}experiment "{legible(name)}"'
-        changes = changes_of(reader, self._folder)
+        place = reader.place = f'{self.name}: {row}experiment "{legible(name)}"'
+        changes = changes_of(reader, self.folder)
         tables = reader.raw("input", [])
         measured = input_keys(tables)
-        refuse_twice(place, changes, parameters, measured, faults)
+        known = changes if self.law is None else self.law
+        refuse_twice(place, known, self.parameters, measured, self.faults)
         case: Case | None = None
         inputs: tuple[MeasuredInput, ...] = ()
-        if self._base is not None and len(faults) < MOST_FAULTS:  # more are not shown
-            keys = override(override(self._base, _STEPPING), changes)
-            keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
-            self._keys[name] = keys
-            case = self._case(place, keys, changes, parameters, faults)
+        if self.base is not None and len(self.faults) < MOST_FAULTS:  # more are not shown
+            keys = override(override(self.base, _STEPPING), changes)
+            places = {key: keys.get(key, 1.0) for key in measured}  # of what is read below
+            keys = override(keys, {**places, **_STEPPING, **_OUTPUT})
+            case = self._case(place, override(keys, self.law or {}), known)
             if tables:
-                inputs, curves = read_inputs(place, tables, case, self._files, faults)
+                inputs, curves = read_inputs(place, tables, case, self.files, self.faults)
                 case = case.replace(curves) if case and curves else None
-                self._keys[name] = override(keys, curves)
-        groups = read_groups(reader, name)
+        specimen, batch, lab = (reader.read(group) for group in GROUPS)
         data = reader.raw("data")
         reader.finish()
         if not isinstance(data, list) or not data:
             reader.wrong("data", "must be tables, [[experiment.data]]")
             return None
-        series: list[Series] = []
-        for number, entry in enumerate(data, start=1):
-            readings = read_series(
-                f"{place}: data {number}", entry, case, self._files, faults, plans=self._plans
+        every = [
+            read_series(
+                f"{place}: data {number}", entry, case, self.files, self.faults, plans=self.plans
             )
-            if readings is not None:
-                series.append(readings)
+            for number, entry in enumerate(data, start=1)
+        ]
+        series = [one for one in every if one is not None]
         if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
             reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
         if case is None:
             return None
-        return Experiment(name, case, _named(series), groups, inputs, table)
+        groups = (specimen or name, batch or "", lab or "")
+        return Experiment(name, case, _named(series), groups, inputs)
 
-    def _case(
-        self,
-        place: str,
-        keys: Mapping[str, Any],
-        changes: Mapping[str, Any],
-        parameters: tuple[FittedParameter, ...],
-        faults: list[str],
-    ) -> Case | None:
+    def _case(self, place: str, keys: Mapping[str, Any], changes: Mapping[str, Any]) -> Case | None:
         """Return a case with the parameters at their starts."""
-        starts = {parameter.key: parameter.start for parameter in parameters}
+        starts = {parameter.key: parameter.start for parameter in self.parameters}
         changed = frozenset({*changes, *starts})
         try:
             case = make_case(override(keys, starts), Origin(place, changed, f"{place}: set"))
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
-            faults += error.faults
+            self.faults += error.faults
             return None
         if case.mesh.geometry == "updated":
             sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
-            faults.append(Fault(sentence, "mesh.geometry", "conflict"))
+            self.faults.append(Fault(sentence, "mesh.geometry", "conflict"))
             return None
-        refuse_unfit(place, parameters, case, faults)
+        refuse_unfit(place, self.parameters, case, self.faults)
         return case
 
-    def changed(
-        self,
-        name: str,
-        experiments: tuple[Experiment, ...],
-        changes: Mapping[str, Any],
-        parameters: tuple[FittedParameter, ...],
-        faults: list[str],
-    ) -> tuple[Experiment, ...]:
-        """Return the experiments under another law."""
-        changed, before = [], len(faults)
+    def _refuse_twins(self, experiments: Sequence[Experiment]) -> None:
+        """Refuse experiments of one name, and the same readings in two series."""
+        names, owners = set[str](), dict[Hashable, str]()
         for experiment in experiments:
-            place = (
-                f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
-            )
-            measured = [entry.key for entry in experiment.inputs]
-            refuse_twice(place, changes, parameters, measured, faults)
-            keys = override(self._keys[experiment.name], in_full(changes, self._folder))
-            case = None
-            if len(faults) == before:
-                case = self._case(place, keys, changes, parameters, faults)
-            if case is None:
-                break  # the others have the same fault
-            changed.append(replace(experiment, case=case))
-        return tuple(changed)
+            place = f'{self.name}: experiment "{legible(experiment.name)}"'
+            if experiment.name in names:
+                sentence = f"{place}: is there twice; names must differ"
+                self.faults.append(Fault(sentence, "experiment.name", "conflict"))
+                continue
+            names.add(experiment.name)
+            for series in experiment.series:
+                content = series.quantity, series.file, series.value.tobytes()
+                if series.file and content in owners:
+                    self.faults.append(
+                        f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                        f'"{legible(owners[content])}"; must be read once'
+                    )
+                owners[content] = experiment.name
 
 
-def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
-    """Refuse experiments of one name, and the same lines of a file in two series."""
-    seen: list[tuple[str, Series]] = []
-    for number, experiment in enumerate(experiments):
-        place = f'{name}: experiment "{legible(experiment.name)}"'
-        if experiment.name in [earlier.name for earlier in experiments[:number]]:
-            sentence = f"{place}: is there twice; names must differ"
-            faults.append(Fault(sentence, "experiment.name", "conflict"))
-            continue
-        for series in experiment.series:
-            faults += [
-                f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                f'"{legible(owner)}"; must be read once'
-                for owner, earlier in seen if _same_readings(series, earlier)
-            ]  # fmt: skip
-            seen.append((experiment.name, series))
-
-
-def _same_readings(a: Series, b: Series) -> bool:
-    """Tell whether two series share lines of a file, with the same readings."""
-    if a.lines is None or b.lines is None or (a.file, a.quantity) != (b.file, b.quantity):
-        return False
-    _, first, second = np.intersect1d(a.lines, b.lines, return_indices=True)
-    return bool(len(first)) and np.array_equal(a.value[first], b.value[second])
-
-
-def _named(series: list[Series]) -> tuple[Series, ...]:
+def _named(series: Sequence[Series]) -> tuple[Series, ...]:
     """Return series with names that differ."""
-    counts: dict[str, int] = {}
-    named = []
-    several = [quantity for quantity, n in Counter(s.quantity for s in series).items() if n > 1]
+    counts, names, named = Counter(s.quantity for s in series), Counter[str](), []
     for record in series:
         at = record.at
-        if at is None and record.n == 1 and record.quantity in several:  # weighings
+        if at is None and record.n == 1 and counts[record.quantity] > 1:  # weighings
             at = float(record.x[0])
         name = record.quantity if at is None else f"{record.quantity} at {at:g} s"
-        counts[name] = counts.get(name, 0) + 1
-        if counts[name] > 1:
-            name = f"{name} ({counts[name]})"
-        named.append(replace(record, name=name))
+        names[name] += 1
+        again = f" ({names[name]})" if names[name] > 1 else ""
+        named.append(replace(record, name=f"{name}{again}"))
     return tuple(named)

@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.keys import (
     base_keys,
-    flatten,
+    changes_of,
     kinds,
     read_keys,
     source_tables,
@@ -20,9 +20,8 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
-from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.errors import Code, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader
 from ringwear_par.identification.definition.fitted_parameters import read_parameters, read_units
@@ -37,6 +36,7 @@ from ringwear_par.identification.definition.scatter import (
     check_scatter,
     read_process,
 )
+from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
 
 log = logging.getLogger(__name__)
 
@@ -52,14 +52,14 @@ def read_fit(
     source: Path | str | Mapping[str, Any],
     *,
     plans: bool = False,
-    running: str = "",
+    running: str | None = None,
     others: bool = False,
 ) -> Problem:
     """Read a fit file with its case and all its measurements, or a dict of them. Not collective.
 
-    Planned readings only where ``plans``. Of a ``running`` experiment this one alone, whose files
-    grow and whose readings may be too few for a fit, or all ``others``. Raises InputError with all
-    faults.
+    Planned readings only where ``plans``. Of a ``running`` experiment ("": the last one) this one
+    alone, whose files grow and whose readings may be too few for a fit, or all ``others``. Raises
+    InputError with all faults.
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")
@@ -69,52 +69,70 @@ def read_fit(
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    case_units = written_units(tables.get("case"), folder)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
-    alone = bool(running) and not others
+    units = written_units(tables.get("case"), folder)
+    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), units, faults)
+    alone = running is not None and not others
     files = FileStore(folder, growing=alone)
-    reader = ExperimentReader(name, folder, base, files, plans)
+    reader = ExperimentReader(name, folder, base, files, plans, parameters, faults)
     tests = _experiment_tables(name, tables, base, files, faults)
-    if running:
-        tests = [one for one in tests if (_name_in(one[1]) == running) is alone]
-    experiments = reader.all(tests, parameters, faults)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
-    if faults:
-        raise InputError(*_said_once(faults))
-    whose = f"{name}: without {legible(running)}" if others else name
+    if running is not None:
+        tests = _chosen(name, tests, running, others)
+    experiments = reader.all(tests)
+    design = _read_design_space(f"{name}: design", tables.get("design", {}), units, faults)
+    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), units, folder, faults)
+    _refuse(faults)
+    whose = f"{name}: without {legible(running or '')}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
         return problem
-    for check in (_check_counts, check_scatter, check_censored, check_process):
-        check(problem, faults)
-    if faults:  # many of which are those of the other laws too
-        raise InputError(*_said_once(faults))
+    check_censored(problem, faults)
+    _check(problem, faults)
+    _refuse(faults)  # many of which are those of the other laws too
     alternatives = {}
-    for law, (changes, law_parameters) in laws.items():
-        changed = reader.changed(law, experiments, changes, law_parameters, faults)
-        alternatives[law] = replace(
-            problem, name=f"{name}: compare.{law}", parameters=law_parameters, experiments=changed
-        )
-        if len(changed) == len(experiments):
-            for check in (_check_counts, check_scatter, check_process):
-                check(alternatives[law], faults)
-    if faults:
-        raise InputError(*_said_once(faults))
+    for law, (changes, fitted) in laws.items():
+        place = f"{name}: compare.{legible(law)}"
+        other = replace(reader, name=place, parameters=fitted, law=changes).all(tests)
+        alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
+        if not faults:
+            _check(alternatives[law], faults)
+    _refuse(faults)
     return replace(problem, alternatives=alternatives)
 
 
-def experiment_names(source: Path) -> list[str]:
-    """Return the names of the tests of a fit file; its other faults are left to ``read_fit``."""
-    name, folder, tables, _ = source_tables(source, "fit")
-    base = base_keys(name, folder, tables, False, [])
-    found = _experiment_tables(name, tables, base, FileStore(folder), [])
-    return [named for _, table in found if (named := _name_in(table))]
+def _refuse(faults: Sequence[str]) -> None:
+    """Raise InputError of faults; one that several tests have is said of the first one only."""
+    tests: dict[str, list[str]] = {}
+    for fault in faults:
+        test = _TEST.match(fault)
+        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
+    said = [
+        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
+        for first, *repeats in tests.values()
+    ]
+    if said:
+        raise InputError(*said)
 
 
-def _name_in(table: Any) -> str:
-    name = table.get("name") if isinstance(table, Mapping) else None
-    return name if isinstance(name, str) else ""
+def _chosen(
+    name: str, tests: list[tuple[str, Any]], running: str, others: bool
+) -> list[tuple[str, Any]]:
+    """Return the table of the running test, or of all others, out of those of a fit file."""
+    names = [table.get("name") if isinstance(table, Mapping) else None for _, table in tests]
+    known = [named for named in names if isinstance(named, str)]
+    if not known:  # which their readers say
+        return tests
+    running = running or known[-1]
+    if running not in known:
+        every = ", ".join(map(legible, known))
+        raise InputError(f"--test = {legible(running)}: must be one of {every} of {name}")
+    if others and len(tests) == 1:
+        raise InputError(
+            f"{name}: has no test but {legible(running)}; --after must name the folder of a fit of "
+            "others"
+        )
+    return [
+        one for one, named in zip(tests, names, strict=True) if (named == running) is not others
+    ]
 
 
 def _experiment_tables(
@@ -124,41 +142,23 @@ def _experiment_tables(
     files: FileStore,
     faults: list[str],
 ) -> list[tuple[str, Any]]:
-    """Return the tables of a fit file's tests, each with where it stands. Not collective.
+    """Return the tables of a fit file's tests, each with where it stands.
 
-    Those that are written out, then those of the table that ``[tests]`` names.
-
-    Parameters
-    ----------
-    name : of the fit file in messages.
-    file : its tables.
-    base : dotted keys of its case; None where that has faults.
+    Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
+    dotted keys of their case, None where that has faults.
     """
     written = file.get("experiment", [] if "tests" in file else None)
     if not isinstance(written, list) or not (written or "tests" in file):
         state = "is missing" if written is None else f"= {shortened(written)}"
+        code: Code = "missing" if written is None else "not_allowed"
         sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
-        faults.append(
-            Fault(sentence, "experiment", "missing" if written is None else "not_allowed")
-        )
+        faults.append(Fault(sentence, "experiment", code))
         return []
     tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
     if "tests" not in file:
         return tables
-    tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
+    tests = laboratory_tests(f"{name}: tests", file["tests"], keys_of("tests"), base, files, faults)
     return [*tables, *tests.items()]
-
-
-def _said_once(faults: Sequence[str]) -> list[str]:
-    """Return the faults; one that several tests have is said of the first one only."""
-    tests: dict[str, list[str]] = {}
-    for fault in faults:
-        test = _TEST.match(fault)
-        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
-    return [
-        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
-        for first, *repeats in tests.values()
-    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def _read_settings(
     if isinstance(table, Mapping) and (gone := [key for key in _GONE if key in table]):
         log.warning("%s: %s: is not needed any more, and ignored", place, ", ".join(gone))
         table = {key: value for key, value in table.items() if key not in gone}
-    reader = TableReader(place, table, faults, schema.FIT)
+    reader = reader_of("fit", place, table, faults)
     fitted = reader.raw("parameters")
     units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)
     parameters = read_parameters(f"{place}.parameters", fitted, faults, units, case_units)
@@ -191,59 +191,49 @@ def _read_design_space(
     place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> DesignSpace:
     """Return the space of ``[design]``; add what is wrong with it to the faults."""
-    reader = TableReader(place, table, faults, schema.DESIGN)
+    reader = reader_of("design", place, table, faults)
     criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
     reader.finish()
-    units = {key: unit for key, unit in case_units.items() if key in schema.VARY}
+    units = {key: unit for key, unit in case_units.items() if key in keys_of("design.vary")}
     for key, entry in vary.items() if isinstance(vary, Mapping) else ():
         if isinstance(entry, list) and entry and has_unit(entry[0]):
             units[key] = number_and_unit(entry[0])[1]
-    vary = TableReader(f"{place}.vary", vary, faults, schema.VARY)
-    values = {key: vary.read(key) for key in schema.VARY}
-    ranges = {key: value for key, value in values.items() if value is not None}
-    vary.finish()
+    varied, values = read_all("design.vary", f"{place}.vary", vary, faults)
+    every = zip(keys_of("design.vary"), values, strict=True)
+    ranges = {key: value for key, value in every if value is not None}
     if all(key in ranges for key in _LOADS):
-        vary.fault("load.pressure and load.force: only one of them may vary")
-    limits = TableReader(f"{place}.budget", budget, faults, schema.BUDGET)
-    seconds, count = limits.read("time.end"), limits.read("experiments")
-    limits.finish()
+        varied.fault("load.pressure and load.force: only one of them may vary")
+    _, (seconds, count) = read_all("design.budget", f"{place}.budget", budget, faults)
     return DesignSpace(criterion, ranges, seconds, count, units)
 
 
 def _read_alternatives(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    place: str, table: Any, case_units: Mapping[str, str], folder: Path, faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
+    """Return case keys and fitted keys of other laws."""
     laws = {}
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table")
         return {}
     for name, entry in table.items():
         reader = TableReader(f"{place}.{legible(name)}", entry, faults)
-        changed = reader.raw("set", {})
-        fitted = reader.raw("parameters")
-        parameters = read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units)
+        changes, fitted = changes_of(reader, folder), reader.raw("parameters")
+        place_of_keys = f"{reader.place}.parameters"
+        laws[name] = changes, read_parameters(place_of_keys, fitted, faults, {}, case_units)
         reader.finish()
-        try:
-            changes = flatten(
-                changed if isinstance(changed, Mapping) else {"": changed}, reader.place
-            )
-        except InputError as error:
-            faults += error.faults
-            continue
-        laws[name] = changes, parameters
     return laws
 
 
-def _check_counts(problem: Problem, faults: list[str]) -> None:
-    """Refuse a problem with fewer readings than unknowns."""
-    readings = sum(experiment.n for experiment in problem.experiments)
+def _check(problem: Problem, faults: list[str]) -> None:
+    """Refuse what readings cannot tell, as more unknowns than there are readings."""
     series = [record for experiment in problem.experiments for record in experiment.series]
-    free = sum(p.prior is None for p in problem.parameters) + sum(
-        n.free for record in series for n in record.nuisances
-    )
-    if readings < free:
+    free = sum(p.prior is None for p in problem.parameters)
+    free += sum(n.free for record in series for n in record.nuisances)
+    if (readings := sum(record.n for record in series)) < free:
         faults.append(
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )
+    check_scatter(problem, faults)
+    check_process(problem, faults)

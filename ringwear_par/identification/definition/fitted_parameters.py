@@ -18,19 +18,16 @@ from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
-from ringwear_par.cases.smooth_keys import elastic_numbers, smooth_keys
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
+from ringwear_par.cases.smooth_keys import smooth_keys
+from ringwear_par.cases.tables import name_unknown_keys
+from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
-from ringwear_par.identification.definition.schema import PARAMETER
+from ringwear_par.identification.definition.schema import keys_of, reader_of
 from ringwear_par.studies.variations import split_key, unnested
-
-#: other units in which keys may be given, by the unit of the case
-_EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}
 
 
 def read_parameters(
@@ -50,10 +47,11 @@ def read_parameters(
         faults.append(Fault(sentence, "fit.parameters", "missing"))
         return ()
     parameters = []
-    for key, entry in unnested(table, PARAMETER.keys()).items():
-        parameter = _parameter(f'{place}."{legible(key)}"', key, entry, faults, units.get(key, ""))
-        if parameter is not None:
-            unit = parameter.unit or case_units.get(key, "")
+    for key, entry in unnested(table, keys_of("fit.parameters.KEY").keys()).items():
+        written = entry.get("start") if isinstance(entry, Mapping) else None
+        own = number_and_unit(str(written))[1] if has_unit(written) else case_units.get(key, "")
+        unit = units.get(key, own)
+        if (parameter := _parameter(f'{place}."{legible(key)}"', key, entry, faults)) is not None:
             parameters.append(replace(parameter, unit=unit if _is_other(unit, key) else ""))
     return tuple(parameters)
 
@@ -71,7 +69,8 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table of units by fitted key")
         return {}
-    fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
+    known = parameters if isinstance(parameters, Mapping) else {}
+    fitted = unnested(known, keys_of("fit.parameters.KEY").keys())
     units = unnested(table, set())
     name_unknown_keys(place, units, list(fitted), faults, "is not fitted", "fit.units")
     for key, unit in units.items():
@@ -80,17 +79,13 @@ def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> di
         try:
             factor(str(unit), base_unit(key))
         except RejectedError:
-            base = base_unit(key) or "a parameter"
-            example = f', such as "{_EXAMPLES[base]}"' if base in _EXAMPLES else ""
             state = f'{place}."{legible(key)}" = {shortened(unit)}'
-            sentence = f"{state}: must be a unit of {base}{example}"
+            sentence = f"{state}: must be a unit of {base_unit(key) or 'a parameter'}"
             faults.append(Fault(sentence, f"fit.units.{key}", "unit"))
     return units
 
 
-def _parameter(
-    place: str, key: str, table: Any, faults: list[str], named_unit: str
-) -> FittedParameter | None:
+def _parameter(place: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
     if layer_entry(key) is not None and (layer_key := key_of(key)) is not None:
@@ -106,31 +101,13 @@ def _parameter(
         )
         faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
-    before = len(faults)
-    scatter = None
-    if isinstance(table, Mapping):
-        unit, converted = base_unit(key), dict[str, Any]()
-        scatter = read_scatter(
-            place, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
-        )
-        for name, value in table.items():
-            if name == "scatter":
-                continue
-            try:
-                converted[name] = in_unit(value, unit)
-            except RejectedError as reason:
-                allowed_unit = f"must be in {unit} ({reason})" if unit else f"{reason}"
-                sentence = f"{place}: {name} = {shortened(value)}: {allowed_unit}"
-                faults.append(Fault(sentence, f"fit.parameters.{key}.{name}", "unit"))
-        if len(converted) < len(table.keys() - {"scatter"}):
-            return None
-        if not named_unit and has_unit(table.get("start")):
-            named_unit = number_and_unit(table["start"])[1]
-        table = converted
-    reader = TableReader(place, table, faults, PARAMETER)
-    reader.raw("scatter")  # read above
-    start, bounds = reader.read("start"), reader.read("bounds")
-    log, prior = reader.read("scale") == "log", reader.read("prior")
+    before, unit = len(faults), base_unit(key)
+    if unit is None:  # of a user's law, whose numbers have any unit
+        table = in_unit_where_right(table, None)
+    reader = reader_of("fit.parameters.KEY", place, table, faults)
+    start, bounds, prior = (reader.read(name, unit=unit) for name in ("start", "bounds", "prior"))
+    log = reader.read("scale") == "log"
+    scatter = read_scatter(place, key, reader.raw("scatter"), log, unit or "", faults)
     reader.finish()
     if bounds is not None:
         if log and bounds[0] <= 0:
@@ -144,7 +121,7 @@ def _parameter(
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:
         return None
-    return FittedParameter(key, start, bounds, log, prior, scatter, named_unit)
+    return FittedParameter(key, start, bounds, log, prior, scatter)
 
 
 def unit_scale(parameter: FittedParameter) -> float:
@@ -167,50 +144,28 @@ def unit_of_key(problem: Problem, key: str) -> str:
 def refuse_unfit(
     place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key on which a case does not depend smoothly, or out of order."""
-    allowed, elastic = smooth_keys(case), elastic_numbers(case)
-    for parameter in parameters:
-        if parameter.key in elastic:
-            faults += _faults_of_bounds(place, parameter, case)
-        if parameter.key not in allowed:
-            similar = difflib.get_close_matches(parameter.key, allowed, n=3, cutoff=0.0)
-            faults.append(
-                f"{place}: {parameter.key}: cannot be fitted: the history does not depend on it "
-                f"smoothly; must be a key such as {', '.join(similar)}"
-            )
-    _refuse_order(place, parameters, case, faults)
+    """Add a fault for each key that a case does not depend on smoothly, or not up to its bounds.
 
-
-def _refuse_order(
-    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
-) -> None:
-    """Add a fault where bounds of one key break a law's rule beside the value of another.
-
-    As k_start of at least k. Where both are fitted, values out of order are improbable.
+    As of a layer that is thicker than its body, or of k_start of less than k. Where both of these
+    are fitted, values out of order are improbable.
     """
-    bounds = {parameter.key: parameter.bounds for parameter in parameters}
-    for table, law in case.laws_by_table.items():
-        for rule in () if law is None else law.kind.declared:
-            larger, smaller = f"{table}.{rule.name}", f"{table}.{rule.at_least}"
-            if law is None or not rule.at_least or (larger in bounds) == (smaller in bounds):
-                continue
-            low = bounds[larger][0] if larger in bounds else law.values[rule.name]
-            high = bounds[smaller][1] if smaller in bounds else law.values[rule.at_least]
-            if isinstance(low, float | int) and isinstance(high, float | int) and low < high:
-                faults.append(
-                    f"{place}: bounds let {larger} be {low:g}, less than {smaller}, {high:g}; must "
-                    "keep it as large, or both be fitted"
-                )
-
-
-def _faults_of_bounds(place: str, parameter: FittedParameter, case: Case) -> list[str]:
-    """Return why there is no case at a bound, as of a layer that is thicker than its body."""
-    for bound in parameter.bounds:
-        try:
-            case.replace({parameter.key: bound})
-        except InputError as error:
-            return [f"{place}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
-    return []
+    allowed = smooth_keys(case)
+    for key, bounds in ((parameter.key, parameter.bounds) for parameter in parameters):
+        if key not in allowed:
+            similar = difflib.get_close_matches(key, allowed, n=3, cutoff=0.0)
+            faults.append(
+                f"{place}: {key}: cannot be fitted: the history does not depend on it smoothly; "
+                f"must be a key such as {', '.join(similar)}"
+            )
+            continue
+        others = {parameter.key for parameter in parameters} - {key}
+        for bound in bounds:
+            try:
+                case.replace({key: bound})
+            except InputError as error:
+                if not any(other in error.faults[0] for other in others):
+                    fault = f"no case at its bound {bound:g}: {error.faults[0]}"
+                    faults.append(f"{place}: {key}: {fault}")
 
 
 def refuse_twice(

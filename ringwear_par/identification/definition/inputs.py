@@ -1,25 +1,24 @@
 """``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
-from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.data_sources import read_readings
-from ringwear_par.identification.definition.problem import MeasuredInput
+from ringwear_par.identification.definition.problem import MeasuredInput, Prior
 from ringwear_par.identification.definition.schema import (
     FEWEST_READINGS,
-    INPUT,
     INPUT_KEYS,
-    INPUT_SCALE,
+    read_all,
+    reader_of,
 )
 from ringwear_par.identification.definition.series import (
     check_times,
@@ -42,16 +41,6 @@ def input_keys(tables: Any) -> list[str]:
     return [key for key in keys if key in INPUT_KEYS]
 
 
-def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, Any]:
-    """Return the keys of a case, with plain numbers in place of what was measured."""
-    changed = dict(keys)
-    for key in measured:
-        if key in LOADS:
-            changed = {k: v for k, v in changed.items() if k not in LOADS or k == key}
-        changed.setdefault(key, 1.0)
-    return changed
-
-
 def read_inputs(
     place: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
@@ -63,21 +52,17 @@ def read_inputs(
     if not isinstance(tables, list):
         faults.append(f"{place}: input: must be tables, [[experiment.input]]")
         return (), {}
-    before, curves = len(faults), dict[str, Any]()
+    before, curves, inputs = len(faults), dict[str, Any](), list[MeasuredInput]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
-    inputs = [entry for entry in read if entry is not None]
-    inputs.sort(key=lambda entry: entry.of_torque)  # its friction needs the load
-    for i, entry in enumerate(inputs):
+    every = [entry for entry in read if entry is not None]
+    for entry in sorted(every, key=lambda entry: entry.of_torque):  # its friction needs the load
         if case is not None and entry.of_torque:
             _check_friction(place, entry, case, faults)
         if case is None or len(faults) > before:
             return (), {}
-        entry = replace(entry, radius=0.5 * sum(case.contact))
-        suspicions = entry.series.suspicions + _suspicions(entry, case)
-        entry = replace(entry, series=replace(entry.series, suspicions=suspicions))
-        inputs[i] = entry
-        curves[entry.key] = points_of(entry.curve(case))
+        inputs.append(_with_suspicion(replace(entry, radius=0.5 * sum(case.contact)), case))
+        curves[entry.key] = points_of(inputs[-1].curve(case))
         case = case.replace(curves)
     return tuple(inputs), curves
 
@@ -85,37 +70,26 @@ def read_inputs(
 def _input(
     place: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
-    before = len(faults)
-    reader = TableReader(place, table, faults, INPUT)
+    before, reader = len(faults), reader_of("experiment.input", place, table, faults)
     key, quantity = reader.read("key"), reader.read("quantity")
     end = math.inf if case is None else case.time.end
     reader.place = place if key is None else f"{place} ({key})"
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
-    scale = None
-    if (entry := reader.raw("scale")) is not None:
-        scale_reader = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
-        scale = scale_reader.read("prior")
-        scale_reader.finish()
-        if scale is not None and scale.mean <= 0.0:
-            scale_reader.wrong("prior", "must have a mean > 0")
-    if key is None:
-        for name in ("file", "columns", "units"):  # what they must be depends on the key
+    scale = _scale(reader)
+    is_friction, readings = key == "contact.friction", None
+    if key is not None and is_friction != (quantity == "torque"):
+        if quantity is None:
+            reader.wrong("quantity", 'must be "torque"')
+        elif "quantity" in reader:
+            rule = "must be absent: a load or a speed is its own quantity"
+            reader.wrong("quantity", rule, "conflict")
+    if key is None or "file" not in reader:  # what columns must be depends on the key
+        for name in ("columns", "units"):
             reader.raw(name)
-        reader.finish()
-        return None
-    is_friction = key == "contact.friction"
-    if is_friction != (quantity == "torque") and "quantity" in reader:
-        reader.wrong(
-            "quantity", "must be absent: a load or a speed is its own quantity", "conflict"
-        )
-    elif is_friction and quantity is None:
-        reader.wrong("quantity", 'must be "torque"')
-    readings = None
-    if "file" in reader:
+        reader.read("file")
+    else:
         kind = "torque" if is_friction else key.partition(".")[2]
         readings = read_readings(reader, kind, None, end, files, plans=False)
-    else:
-        reader.read("file")  # reports what is missing
     reader.finish()
     if readings is None or case is None or len(faults) > before:
         return None
@@ -136,21 +110,30 @@ def _input(
     hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
     rule = f"must be {'>' if is_friction else '>='} 0; {hint}"
     refuse_readings(reader, series, low, f"{{value:g}} {series.unit}", rule)
-    if len(faults) > before:
+    return MeasuredInput(key, series, smooth, scale) if len(faults) == before else None
+
+
+def _scale(reader: TableReader) -> Prior | None:
+    """Return the prior of a factor on the readings, if there is one."""
+    if (entry := reader.raw("scale")) is None:
         return None
-    return MeasuredInput(key, series, smooth, scale)
+    place = f"{reader.place}: scale"
+    scale_reader, (scale,) = read_all("experiment.input.scale", place, entry, reader.faults)
+    if scale is not None and scale.mean <= 0.0:
+        scale_reader.wrong("prior", "must have a mean > 0")
+    return cast("Prior | None", scale)
 
 
-def _suspicions(entry: MeasuredInput, case: Case) -> tuple[str, ...]:
-    """Return a sentence about a friction that is likely in another unit, if it is."""
-    typical, (low, high) = float(np.median(entry.readings(case))), _FRICTIONS
+def _with_suspicion(entry: MeasuredInput, case: Case) -> MeasuredInput:
+    """Return an input with a sentence about a friction that is likely in another unit, if it is."""
+    typical, (low, high), series = float(np.median(entry.readings(case))), _FRICTIONS, entry.series
     if not entry.of_torque or low <= typical <= high:
-        return ()
-    series = entry.series
-    return (
+        return entry
+    suspicion = (
         f"{series.file}: readings in {series.unit} mean a friction of {typical:.3g}, where "
-        f"contacts have {low:g} to {high:g}; look at the unit of the torque, and at the load",
+        f"contacts have {low:g} to {high:g}; look at the unit of the torque, and at the load"
     )
+    return replace(entry, series=replace(series, suspicions=(*series.suspicions, suspicion)))
 
 
 def _check_friction(place: str, entry: MeasuredInput, case: Case, faults: list[str]) -> None:

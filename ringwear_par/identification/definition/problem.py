@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -110,7 +110,7 @@ class FittedParameter:
     def value(self, unknown: float) -> float:
         """Return the value of an unknown, within the bounds to the last bit."""
         low, high = self.bounds
-        if self.log:  # minimisers may try unknowns whose exponential overflows
+        if self.log:  # an exponential may overflow
             at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
             unknown = float(np.exp(at))
         return min(max(float(unknown), low), high)
@@ -310,8 +310,6 @@ class Experiment:
     groups: tuple[str, str, str] = ("", "", "")
     #: what of the case was measured
     inputs: tuple[MeasuredInput, ...] = ()
-    #: its table in the fit file
-    table: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def torque_input(self) -> MeasuredInput | None:

@@ -3,13 +3,13 @@
 Values of keys differ between specimens, batches and laboratories.
 """
 
-import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.files.text import shortened
@@ -20,7 +20,8 @@ from ringwear_par.identification.definition.problem import (
     Scatter,
     body_of_wear,
 )
-from ringwear_par.identification.definition.schema import PROCESS, SCATTER
+from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
+from ringwear_par.studies.variations import unnested
 
 #: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
 _LOG_SCALE = 0.3
@@ -34,8 +35,6 @@ _SETTINGS = ("load.",)
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
 #: tables of wear that may be random
 _RANDOM = tuple(f"wear.{body}" for body in BODIES)
-#: a size that is written with the sign of per cent
-_PERCENT = re.compile(r"(\d+(?:\.\d+)?) *%")
 #: largest correlation time, as a share of a record: noise that is correlated for longer looks like
 #: wear
 _LONGEST_CORRELATION = 0.1
@@ -54,16 +53,11 @@ def read_scatter(
         )
         return None
     table = value if isinstance(value, Mapping) else {"specimen": value}
-    reader = TableReader(f"{place}.scatter", table, faults, SCATTER)
+    reader = reader_of("fit.parameters.KEY.scatter", f"{place}.scatter", table, faults)
     before = len(faults)
     size_unit = "1" if log else unit
-    sizes = {}
-    for group in GROUPS:
-        percent = _PERCENT.fullmatch(str(reader.raw(group, "")))
-        if percent is not None and log:
-            reader.wrong(group, f"must be {float(percent[1]) / 100.0:g}, which is {percent[0]}")
-        elif group in reader:
-            sizes[group] = reader.read(group, unit=size_unit)
+    read = {group: reader.read(group, unit=size_unit) for group in GROUPS}
+    sizes = {group: size for group, size in read.items() if size is not None}
     scale, start = (reader.read(name, unit=size_unit) for name in ("prior", "start"))
     reader.finish()
     if not sizes and len(faults) == before:
@@ -85,12 +79,6 @@ def read_scatter(
     return Scatter(known, scale, 0.5 * scale if start is None else start)
 
 
-def read_groups(reader: TableReader, name: str) -> tuple[str, str, str]:
-    """Return the specimen, batch and laboratory of an experiment of some name."""
-    specimen, batch, lab = (reader.read(group) for group in GROUPS)
-    return (specimen or name, batch or "", lab or "")
-
-
 def check_scatter(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of the scatters to the faults."""
     name, experiments, settings = problem.name, problem.experiments, problem.settings
@@ -109,32 +97,31 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
             f"{name}: all readings are limits, which tell nothing of keys with scatter; some must "
             "be values, or scatter absent"
         )
-    for group, place in (("batch", 1), ("lab", 2)):
+    groups = zip(*(experiment.groups for experiment in experiments), strict=True)
+    names = dict(zip(GROUPS, groups, strict=True))
+    for group in GROUPS[1:]:
         seen: dict[str, str] = {}
-        for experiment in experiments:
-            specimen, label = experiment.groups[0], experiment.groups[place]
+        for specimen, label in zip(names["specimen"], names[group], strict=True):
             if seen.setdefault(specimen, label) != label:
                 faults.append(
                     f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
                     f'of "{legible(seen[specimen])}"; must be of one {group}'
                 )
-    names = {group: [e.groups[place] for e in experiments] for place, group in enumerate(GROUPS)}
     for key, group in fitted:
-        if len({*names[group]}) == 1:
+        if (count := len({*names[group]})) == 1:
             plural = PLURALS[group]
             faults.append(
                 f"{name}: scatter of {key} between {plural} cannot be fitted to one "
                 f"{group}; must be a number, or there must be at least 2 {plural}"
             )
-    for key, scatter in scatters:
-        fits = [group for group, size in scatter.sizes.items() if size is None]
-        for i, small in enumerate(fits):
-            for large in fits[i + 1 :]:
-                if len({*zip(names[small], names[large], strict=True)}) == len({*names[large]}):
-                    faults.append(
-                        f"{name}: scatter of {key}: {large} and {small} are the same groups; "
-                        'only one of the two can be "fit"'
-                    )
+        for small in GROUPS[: GROUPS.index(group)]:
+            if (key, small) in fitted and len(
+                {*zip(names[small], names[group], strict=True)}
+            ) == count:
+                faults.append(
+                    f"{name}: scatter of {key}: {group} and {small} are the same groups; "
+                    'only one of the two can be "fit"'
+                )
 
 
 def read_process(place: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
@@ -142,14 +129,14 @@ def read_process(place: str, table: Any, faults: list[str]) -> dict[str, Process
     if not isinstance(table, Mapping):
         faults.append(f"{place} = {shortened(table)}: must be a table of wear.lower, wear.upper")
         return {}
-    flat = dict(table)
-    if isinstance(nested := flat.pop("wear", None), Mapping):  # written without quotes
-        flat |= {f"wear.{body}": value for body, value in nested.items()}
-    name_unknown_keys(place, flat, _RANDOM, faults, table="fit.process")
-    entries = {
-        key: _read_noise(f"{place}.{key}", flat[key], faults) for key in _RANDOM if key in flat
+    entries = unnested(table, keys_of("fit.process.KEY").keys())
+    name_unknown_keys(place, entries, _RANDOM, faults, table="fit.process")
+    noises = {
+        key: _read_noise(f"{place}.{key}", entries[key], faults)
+        for key in _RANDOM
+        if key in entries
     }
-    return {key: noise for key, noise in entries.items() if noise is not None}
+    return {key: noise for key, noise in noises.items() if noise is not None}
 
 
 def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | None:
@@ -158,46 +145,37 @@ def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | Non
         rule = 'must be "fit", or a table of size or share, and prior'
         faults.append(f"{place} = {shortened(value)}: {rule}")
         return None
-    reader = TableReader(place, {"size": "fit"} if value == "fit" else value, faults, PROCESS)
-    size, share, scale = (reader.read(name) for name in PROCESS)
-    reader.finish()
+    table = {"size": "fit"} if value == "fit" else value
+    reader, (size, share, scale) = read_all("fit.process.KEY", place, table, faults)
     if len(faults) == before and (size is None) == (share is None):
         reader.fault("must have one of size and share", code="missing")
     if scale is not None and size != "fit":
         reader.wrong("prior", 'must be absent where the size is not "fit"', "conflict")
-    if len(faults) > before:
-        return None
     known = size if isinstance(size, float) else None
-    return ProcessNoise(known, share, **({} if scale is None else {"scale": scale}))
+    noise = ProcessNoise(known, share)
+    return noise if scale is None else replace(noise, scale=scale)
 
 
 def check_process(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of wear's own noise to the faults."""
-    name, experiments, settings = problem.name, problem.experiments, problem.settings
-    process = settings.process
-    if not process or not experiments:
-        return
-    for key in process:
-        body = body_of_wear(key)
+    name, experiments = problem.name, problem.experiments
+    series = [(experiment.name, one) for experiment in experiments for one in experiment.series]
+    bodies = [body_of_wear(key) for key in problem.settings.process] if experiments else []
+    for body in bodies:
+        key = f"fit.process.wear.{body}"
         if all(experiment.case.laws[BODIES.index(body)] is None for experiment in experiments):
+            faults.append(f"{name}: {key}: {body} does not wear; must be a body with a wear law")
+        elif not any(one.tells_wear(body) for _, one in series):
             faults.append(
-                f"{name}: fit.process.{key}: {body} does not wear; must be a body with a wear law"
+                f"{name}: {key}: no reading is of a depth, mass, volume or profile of {body}; must "
+                "have one at least"
             )
-        elif not any(
-            series.tells_wear(body) for experiment in experiments for series in experiment.series
-        ):
+    for test, one in series:
+        length = float(np.ptp(one.x))  # s
+        correlated = one.correlation_time > _LONGEST_CORRELATION * length
+        if correlated and any(map(one.tells_wear, bodies)):
             faults.append(
-                f"{name}: fit.process.{key}: no reading is of a depth, mass, volume or profile of "
-                f"{body}; must have one at least"
+                f'{name}: experiment "{legible(test)}": {one.name}: correlation_time = '
+                f"{one.correlation_time:g}: cannot be told from wear's own noise (fit.process); "
+                f"must be at most {_LONGEST_CORRELATION:g} of the record, {length:g} s"
             )
-    for experiment in experiments:
-        for series in experiment.series:
-            wear = any(series.tells_wear(body_of_wear(key)) for key in process)
-            length = float(np.ptp(series.x))  # s
-            if wear and series.correlation_time > _LONGEST_CORRELATION * length:
-                faults.append(
-                    f'{name}: experiment "{legible(experiment.name)}": {series.name}: '
-                    f"correlation_time = {series.correlation_time:g}: cannot be told from wear's "
-                    f"own noise (fit.process); must be at most {_LONGEST_CORRELATION:g} of the "
-                    f"record, {length:g} s"
-                )

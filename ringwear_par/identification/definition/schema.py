@@ -1,20 +1,19 @@
 """The keys of a fit file: one list that reading, messages and ``info --schema fit`` follow."""
 
-import itertools
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.tables import Key, file_keys, keys_of_table
+from ringwear_par.cases.tables import Key, TableReader, file_keys, keys_of_table
 from ringwear_par.cases.values import (
+    Reader,
     RejectedError,
     Values,
     anything,
-    is_finite,
-    is_number,
     number,
     one_of,
     pair,
@@ -44,21 +43,15 @@ def _instants() -> Values:
     """Return lists of increasing numbers, and equal steps from one to another."""
 
     def read(value: Any) -> FloatArray:
-        if isinstance(value, Mapping):
-            if value.keys() != {"from", "to", "count"}:
-                raise RejectedError
-            low, high = (number(-math.inf).read(value[name]) for name in ("from", "to"))
-            count = whole(2, _MOST_READINGS).read(value["count"])
-            if low >= high:
-                raise RejectedError
-            return np.linspace(low, high, count)
+        if isinstance(value, Mapping) and value.keys() == {"from", "to", "count"}:
+            low, high = pair(-math.inf).read([value["from"], value["to"]])
+            return np.linspace(low, high, whole(2, _MOST_READINGS).read(value["count"]))
         if not isinstance(value, list) or not 0 < len(value) <= _MOST_READINGS:
             raise RejectedError
-        if not all(is_number(v) and math.isfinite(v) for v in value):
+        numbers = np.array([number(-math.inf).read(entry) for entry in value])
+        if (np.diff(numbers) <= 0.0).any():
             raise RejectedError
-        if any(after <= before for before, after in itertools.pairwise(value)):
-            raise RejectedError
-        return np.array(value, dtype=float)
+        return numbers
 
     return Values(
         "times",
@@ -68,18 +61,22 @@ def _instants() -> Values:
     )
 
 
-def _prior() -> Values:
-    """Return normal distributions."""
+def _only(name: str, read: Reader, allowed: str) -> Values:
+    """Return tables of one key."""
 
-    def read(value: Any) -> Prior:
-        numbers = value.get("normal") if isinstance(value, Mapping) and len(value) == 1 else None
-        if not isinstance(numbers, list | tuple) or len(numbers) != 2:
+    def value_of(value: Any) -> Any:
+        if not isinstance(value, Mapping) or value.keys() != {name}:
             raise RejectedError
-        if not all(is_number(v) and math.isfinite(v) for v in numbers) or numbers[1] <= 0:
-            raise RejectedError
-        return Prior(float(numbers[0]), float(numbers[1]))
+        return read(value[name])
 
-    return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
+    return Values("any", value_of, f"{{ {name} = {allowed}")
+
+
+def _normal(value: Any) -> Prior:
+    """Return a normal distribution."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise RejectedError
+    return Prior(number(-math.inf).read(value[0]), number(0.0).read(value[1]))
 
 
 def _flag() -> Values:
@@ -98,17 +95,8 @@ def _number_or(*words: str, allowed: str) -> Values:
     return Values("any", lambda v: v if v in words else number(0.0).read(v), allowed)
 
 
-def _half_t() -> Values:
-    """Return the scales of half-t distributions."""
-
-    def read(value: Any) -> float:
-        if not isinstance(value, Mapping) or value.keys() != {"half_t"}:
-            raise RejectedError
-        return number(0.0).read(value["half_t"])
-
-    return Values("any", read, "{ half_t = scale }, a number > 0")
-
-
+_PRIOR = _only("normal", _normal, "[mean, sd] }, two numbers, sd > 0")
+_HALF_T = _only("half_t", number(0.0).read, "scale }, a number > 0")
 _SIZE = _number_or("fit", allowed='"fit", or a number > 0')
 _SMOOTHING = _number_or("auto", "none", allowed='"auto", "none", or a time > 0')
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
@@ -144,10 +132,10 @@ def _range() -> Values:
     """Return the ranges of keys that vary between next tests."""
 
     def read(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2 or not all(map(is_finite, value)):
+        if not isinstance(value, list) or len(value) != 2:
             raise RejectedError
-        low, high = map(float, value)
-        if not 0.0 < low <= high:
+        low, high = map(number(0.0).read, value)
+        if low > high:
             raise RejectedError
         return low, high
 
@@ -164,7 +152,7 @@ KEYS: tuple[Key, ...] = (
     Key("fit.parameters.KEY.bounds", *_BOUNDS, "KEY's", "smallest and largest value of the search"),
     Key("fit.parameters.KEY.scale", *one_of("linear", "log"), "-",
         "log: the logarithm of the key is fitted", "linear"),
-    Key("fit.parameters.KEY.prior", *_prior(), "KEY's",
+    Key("fit.parameters.KEY.prior", *_PRIOR, "KEY's",
         "what is known of the key without these readings: a normal distribution", None),
     Key("fit.parameters.KEY.scatter", *anything('"fit", a number > 0, or a table'), "-",
         "scatter of the key between specimens: \"fit\", a known standard deviation, or a table of "
@@ -174,7 +162,7 @@ KEYS: tuple[Key, ...] = (
           "logarithm where scale = \"log\"), or \"fit\"", None)
       for group, groups in (("specimen", "specimens"), ("batch", "batches"),
                             ("lab", "laboratories"))),
-    Key("fit.parameters.KEY.scatter.prior", *_half_t(), "KEY's; 1 where scale = \"log\"",
+    Key("fit.parameters.KEY.scatter.prior", *_HALF_T, "KEY's; 1 where scale = \"log\"",
         "scale of the half-t prior (4 degrees of freedom) of fitted scatter; default 0.3 where "
         "scale = \"log\", else required", None),
     Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
@@ -188,7 +176,7 @@ KEYS: tuple[Key, ...] = (
     Key("fit.process.KEY.share", *number(0.0, 1.0), "1",
         "instead of size: standard deviation of the worn depth over its mean, at the end of the "
         "test that wears most", None),
-    Key("fit.process.KEY.prior", *_half_t(), "1",
+    Key("fit.process.KEY.prior", *_HALF_T, "1",
         "scale of the half-t prior (4 degrees of freedom) of the share where size = \"fit\"; "
         "default 0.1", None),
     Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
@@ -230,7 +218,7 @@ KEYS: tuple[Key, ...] = (
         f"period; none: linear between the readings, {MOST_POINTS} at most", "auto"),
     Key("experiment.input.scale", *anything("a table of prior"), "-",
         "calibration: a factor on the readings that is estimated; default: they are exact", None),
-    Key("experiment.input.scale.prior", *_prior(), "1",
+    Key("experiment.input.scale.prior", *_PRIOR, "1",
         "what is known of the factor: a normal distribution, as { normal = [1.0, 0.01] }"),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
         "measured quantity. Depths, penetrations, masses and volumes are positive where material "
@@ -266,11 +254,11 @@ KEYS: tuple[Key, ...] = (
         "or the other"
         .format(*DENSITIES), None),
     Key("experiment.data.sd", *number(0.0), "data's",
-        "standard deviation of the readings' noise: a number, the name of a column of file, "
-        "{ relative = x } (share of the running median of the readings) or \"fit\", which "
-        "estimates it"),
+        "standard deviation of the readings' noise: a number, the name of a column of file (in its "
+        "own unit, or the data's), { relative = x } (share of the running median of the readings) "
+        "or \"fit\", which estimates it"),
     Key("experiment.data.sd.relative", *number(0.0), "1",
-        "sd as a share of the running median of the readings", None),
+        "sd as a share of the running median of the readings"),
     Key("experiment.data.correlation_time", *number(0.0, ends=True), "s",
         "correlation time of the noise (AR(1)), at most 100 times the duration of the test; not "
         "for profiles",
@@ -284,7 +272,7 @@ KEYS: tuple[Key, ...] = (
           *anything("a table of prior and bounds, {} where nothing is known of the nuisance"), unit,
           f"{meaning} (for {_quantities_with(kind)})", None)
       for kind, (unit, meaning) in _ERRORS.items()),
-    Key("experiment.data.nuisance.KIND.prior", *_prior(), "KIND's",
+    Key("experiment.data.nuisance.KIND.prior", *_PRIOR, "KIND's",
         "what is known of the nuisance without these readings: a normal distribution", None),
     Key("experiment.data.nuisance.KIND.bounds", *_BOUNDS, "KIND's",
         "smallest and largest value of the nuisance", (-math.inf, math.inf)),
@@ -302,7 +290,7 @@ KEYS: tuple[Key, ...] = (
         "s", "time constant of the growth; needs start, and prior or bounds"),
     Key("experiment.data.nuisance.thermal.time.start", *number(0.0), "s",
         "time constant at which the search begins"),
-    Key("experiment.data.nuisance.thermal.time.prior", *_prior(), "s",
+    Key("experiment.data.nuisance.thermal.time.prior", *_PRIOR, "s",
         "what is known of the time constant without these readings: a normal distribution", None),
     Key("experiment.data.nuisance.thermal.time.bounds", *pair(0.0), "s",
         "smallest and largest time constant, > 0; default: four sd of the prior from its mean, and "
@@ -344,16 +332,22 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-(
-    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, INPUT, INPUT_SCALE, DATA, SD, TESTS,
-    NUISANCE, THERMAL, THERMAL_TIME, DESIGN, VARY, BUDGET,
-) = (
-    keys_of_table(KEYS, table)
-    for table in (
-        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
-        "experiment", "experiment.input", "experiment.input.scale", "experiment.data",
-        "experiment.data.sd", "tests",
-        "experiment.data.nuisance.KIND", "experiment.data.nuisance.thermal",
-        "experiment.data.nuisance.thermal.time", "design", "design.vary", "design.budget",
-    )
-)  # fmt: skip
+
+
+@cache
+def keys_of(name: str) -> dict[str, Key]:
+    """Return the keys of a table by their names in it."""
+    return keys_of_table(KEYS, name)
+
+
+def reader_of(name: str, place: str, table: Any, faults: list[str]) -> TableReader:
+    """Return the reader of a table of this dotted name, see ``TableReader``."""
+    return TableReader(place, table, faults, keys_of(name))
+
+
+def read_all(name: str, place: str, table: Any, faults: list[str]) -> tuple[TableReader, list[Any]]:
+    """Return the reader of a table of this dotted name, and all its values in its keys' order."""
+    reader = reader_of(name, place, table, faults)
+    values = [reader.read(key) for key in keys_of(name)]
+    reader.finish()
+    return reader, values

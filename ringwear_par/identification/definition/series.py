@@ -26,13 +26,7 @@ from ringwear_par.identification.definition.problem import (
     friction_power,
 )
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.identification.definition.schema import (
-    DATA,
-    DENSITIES,
-    NUISANCE,
-    THERMAL,
-    THERMAL_TIME,
-)
+from ringwear_par.identification.definition.schema import DENSITIES, read_all, reader_of
 
 #: largest correlation time, in lengths of the test: noise correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
@@ -43,8 +37,6 @@ _RECORD, _SHORT_RECORD = 3, 0.1
 _ROUNDED = 2e-4
 #: a time constant is fitted within so many sd of its prior about the prior's mean
 _PRIOR_REACH = 4.0
-#: units of densities, in g/mm3
-_OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 #: blocks of equal time of a test, in which the readings of a long record are averaged
 BLOCKS = 500
 
@@ -59,48 +51,32 @@ def read_series(
     plans: bool = False,
 ) -> Series | None:
     """Return the readings of one table, or add its faults; a case that has some itself is None."""
-    before = len(faults)
-    reader = TableReader(place, table, faults, DATA)
-    quantity = reader.read("quantity")
-    if quantity is None:
+    before, reader = len(faults), reader_of("experiment.data", place, table, faults)
+    if (quantity := reader.read("quantity")) is None:
         return None
-    kind = quantity.partition(".")[0]
+    kind, _, body = quantity.partition(".")
     reader.place = f"{place} ({quantity})"
     end = math.inf if case is None else case.time.end
-    at = reader.read("at")
-    density = density_of(reader, quantity, case) if kind == "mass" else 1.0
-    if at is not None and at > end:
-        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
-    timed = next((key for key in ("file", "times") if key in reader), "")
-    if kind == "through":
-        if at is not None:
-            reader.wrong(
-                "at", "must be absent: value is the time at which the layer is through", "conflict"
-            )
-        if case is not None and not getattr(case, quantity.partition(".")[2]).layers:
-            reader.fault(f"{quantity.partition('.')[2]} has no layers; must have one at least")
-    if at is not None and timed and kind != "profile":
-        reader.wrong(
-            "at", f"must be absent beside {timed}, whose readings have their times", "conflict"
-        )
-    readings = read_readings(reader, kind, at, end, files, plans)
-    if readings is None:
+    at = _read_at(reader, kind, end)
+    density = density_of(reader, body, case) if kind == "mass" else 1.0
+    if kind == "through" and case is not None and not getattr(case, body).layers:
+        reader.fault(f"{body} has no layers; must have one at least")
+    if (readings := read_readings(reader, kind, at, end, files, plans)) is None:
         return None
-    series = readings.series
+    series, profile = readings.series, kind == "profile"
     if kind == "through":  # and may be after the end
         series = replace(series, x=np.minimum(series.value, end))
-    if kind != "profile":
+    if not profile:
         series = replace(series, x=rounded_end(series.x, end))
-    excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
+    excluded = read_intervals(reader, "exclude", "mm" if profile else "s")
     keep = is_outside(series.x, excluded)
     sd, fitted = read_noise(reader, readings, keep)
     censored = read_censored(reader, readings)
     nuisances = _nuisances(reader, kind, case)
     correlation = reader.read("correlation_time")
-    if correlation > 0 and kind == "profile":
-        reader.wrong(
-            "correlation_time", "must be absent for a profile, it is for noise in time", "conflict"
-        )
+    if correlation > 0 and profile:
+        rule = "must be absent for a profile, it is for noise in time"
+        reader.wrong("correlation_time", rule, "conflict")
     if correlation > _LONGEST_CORRELATION * end:
         reader.wrong(
             "correlation_time",
@@ -111,36 +87,59 @@ def read_series(
     if len(faults) > before:
         return None
     suspicions = series.suspicions
-    if kind != "profile" and series.lines is not None and series.n >= _RECORD:
+    if not profile and series.lines is not None and series.n >= _RECORD:
         last = float(series.x.max())
         if 0.0 < last < _SHORT_RECORD * end:
             suspicions += (
                 f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
             )
-    if kind == "profile":
-        at = end if at is None else at
     series = replace(
         series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted, density=density,
-        at=at if kind == "profile" else None, nuisances=nuisances, correlation_time=correlation,
-        suspicions=suspicions, excluded=tuple(excluded), censored=censored,
+        at=(end if at is None else at) if profile else None, nuisances=nuisances,
+        correlation_time=correlation, suspicions=suspicions, excluded=tuple(excluded),
+        censored=censored,
     ).part(keep)  # fmt: skip
-    free = [nuisance.kind for nuisance in nuisances if nuisance.free]
+    _check(reader, series, case)
+    return series if len(faults) == before else None
+
+
+def _read_at(reader: TableReader, kind: str, end: float) -> float | None:
+    """Return the time of readings, s; None, and perhaps a fault, where they have their own."""
+    at: float | None = reader.read("at")
+    timed = next((key for key in ("file", "times") if key in reader), "")
+    if at is None:
+        return None
+    if at > end:
+        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
+    if kind == "through":
+        rule = "must be absent: value is the time at which the layer is through"
+        reader.wrong("at", rule, "conflict")
+    elif timed and kind != "profile":
+        rule = f"must be absent beside {timed}, whose readings have their times"
+        reader.wrong("at", rule, "conflict")
+    return at
+
+
+def _check(reader: TableReader, series: Series, case: Case | None) -> None:
+    """Refuse a series without readings, or with too few, or with some that a case cannot have."""
     if not series.n:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
-        return None
-    if case is not None:
-        if series.profile:
-            check_profile(reader, series, case)
-        else:
-            check_times(reader, series, case.time.end)
-        if READING_KINDS[series.kind].unit == "mm":
-            _check_depths(reader, series, case)
+        return
+    if case is not None and series.profile:
+        _check_profile(reader, series, case)
+    elif case is not None:
+        check_times(reader, series, case.time.end)
+    if case is not None and READING_KINDS[series.kind].unit == "mm":
+        highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
+        rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
+        deep = np.abs(series.value) > highest
+        refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)
+    free = [nuisance.kind for nuisance in series.nuisances if nuisance.free]
     if series.n <= len(free):
         reader.fault(
             f"has {counted(series.n, 'reading')}; must have more than nuisances "
             f"without prior or bounds, {', '.join(free)}, which fit so few exactly"
         )
-    return series if len(faults) == before else None
 
 
 def is_outside(x: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
@@ -156,103 +155,85 @@ def rounded_end(x: FloatArray, end: float) -> FloatArray:
 
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
-    table = reader.raw("nuisance", {})
-    allowed = READING_KINDS[kind].nuisances
+    table, allowed = reader.raw("nuisance", {}), READING_KINDS[kind].nuisances
     if not isinstance(table, Mapping):
         reader.wrong("nuisance", f"must be a table of {', '.join(allowed)}")
         return ()
     nuisances = []
     for name, entry in table.items():
+        place = f"{reader.place}: nuisance.{legible(name)}"
         if name not in allowed:
             sentence = f"nuisance.{legible(name)}: must be one of {', '.join(allowed)}"
             reader.fault(sentence, "nuisance", "unknown_key")
-            continue
-        place = f"{reader.place}: nuisance.{name}"
-        if name == "thermal":
+        elif name == "thermal":
             nuisances += _growth(place, entry, case, reader.faults)
-            continue
-        entry_reader = TableReader(place, entry, reader.faults, NUISANCE)
-        bounds, prior = entry_reader.read("bounds"), entry_reader.read("prior")
-        nuisances.append(Nuisance(name, prior, bounds))
-        entry_reader.finish()
+        else:
+            nuisances.append(_nuisance(place, name, entry, reader.faults))
         if name == "compliance" and case is not None and case.load.force is None:
-            entry_reader.fault('needs load.control = "force"', code="conflict")
+            reader.fault(f'nuisance.{name} needs load.control = "force"', "nuisance", "conflict")
     return tuple(nuisances)
+
+
+def _nuisance(
+    place: str, kind: str, entry: Any, faults: list[str], *, power: bool = False
+) -> Nuisance:
+    _, (prior, bounds) = read_all("experiment.data.nuisance.KIND", place, entry, faults)
+    return Nuisance(kind, prior, bounds, power=power)
 
 
 def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> list[Nuisance]:
     """Return the growth of a warm rig, and its time constant, s."""
-    before, reader = len(faults), TableReader(place, entry, faults, THERMAL)
-    amplitude = TableReader(f"{place}.amplitude", reader.raw("amplitude", {}), faults, NUISANCE)
-    prior_of_growth, bounds_of_growth = amplitude.read("prior"), amplitude.read("bounds")
-    amplitude.finish()
-    power = reader.read("power")
-    if power and case is not None:
-        if case.load.force is None:
-            reader.wrong("power", 'needs load.control = "force"', "conflict")
-        elif not friction_power(case)[1].any():
-            reader.wrong(
-                "power",
-                "needs friction power, mu F omega > 0, at some time of the test",
-                "conflict",
-            )
-    time = TableReader(f"{place}.time", reader.raw("time", {}), faults, THERMAL_TIME)
-    start, prior, bounds = (time.read(name) for name in ("start", "prior", "bounds"))
-    time.finish()
+    before = len(faults)
+    reader = reader_of("experiment.data.nuisance.thermal", place, entry, faults)
+    power, amplitude = reader.read("power"), reader.raw("amplitude", {})
+    grown = _nuisance(f"{place}.amplitude", "thermal", amplitude, faults, power=power)
+    if power and case is not None and case.load.force is None:
+        reader.wrong("power", 'needs load.control = "force"', "conflict")
+    elif power and case is not None and not friction_power(case)[1].any():
+        rule = "needs friction power, mu F omega > 0, at some time of the test"
+        reader.wrong("power", rule, "conflict")
+    table, name = reader.raw("time", {}), "experiment.data.nuisance.thermal.time"
+    time, (start, prior, bounds) = read_all(name, f"{place}.time", table, faults)
     reader.finish()
     if len(faults) > before:
         return []
-    if bounds is None and prior is None:
-        time.fault("has neither prior nor bounds; must have one of them at least", code="missing")
-        return []
     if prior is not None and prior.mean <= 0.0:
         time.wrong("prior", "must have a mean > 0 (s)")
-        return []
-    if bounds is None:
+    elif bounds is None and prior is None:
+        time.fault("has neither prior nor bounds; must have one of them at least", code="missing")
+    elif bounds is None:
         reach = _PRIOR_REACH * prior.sd
         bounds = max(prior.mean - reach, 0.01 * prior.mean), prior.mean + reach
     elif bounds[0] == 0.0:
         time.wrong("bounds", "must be two increasing numbers > 0 (s)")
-    if not bounds[0] <= start <= bounds[1]:
+    if len(faults) == before and not bounds[0] <= start <= bounds[1]:
         time.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g} s")
-    grown = Nuisance("thermal", prior_of_growth, bounds_of_growth, power=power)
     return [grown, Nuisance(GROWTH_TIME, prior, bounds, start, power)]
 
 
-def density_of(reader: TableReader, quantity: str, case: Case | None) -> float | None:
-    """Return the density of all that is lost, g/mm3; None where each layer has its own.
+def density_of(reader: TableReader, body: str, case: Case | None) -> float | None:
+    """Return the density of all that a body loses, g/mm3; None where each layer has its own.
 
     Refuse one that is not known, or that nothing has, as that in another unit.
     """
-    if (given := reader.read("density")) is not None:
-        if rule := _density_rule(given):
+    low, high = DENSITIES
+    rule = f"must be from {low:g} to {high:g} g/mm3, as of foams and metals"
+    if "density" in reader or case is None:
+        density: float | None = reader.read("density")
+        if density is not None and not low <= density <= high:
             reader.wrong("density", rule)
-        return float(given)
-    if case is None or "density" in reader:
-        return None
-    body = quantity.partition(".")[2]
+        return density
     densities = getattr(case, body).densities
     keys = density_keys(body, len(densities) - 1)
     if missing := [key for key, value in zip(keys, densities, strict=True) if not value]:
         reader.wrong(
             "density", f"must be given here, or as {', '.join(missing)} of the case (g/mm3)"
         )
+    reader.read("density")
     for key, density in zip(keys, densities, strict=True):
-        if density and (rule := _density_rule(density)):
+        if density and not low <= density <= high:
             reader.fault(f"{key} = {density:g}: {rule}")
     return densities[0] if len(set(densities)) == 1 else None
-
-
-def _density_rule(density: float) -> str:
-    """Return the rule that a density (g/mm3) breaks, "" if it is one of a material."""
-    low, high = DENSITIES
-    if low <= density <= high:
-        return ""
-    hints = [
-        f"; {density:g} {unit} would be {density * share:.6g}"
-        for unit, share in _OTHER_UNITS.items() if low <= density * share <= high
-    ]  # fmt: skip
-    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{''.join(hints[:1])}"
 
 
 def refuse_readings(
@@ -275,7 +256,7 @@ def check_times(reader: TableReader, series: Series, end: float) -> None:
     refuse_readings(reader, series, (x < 0) | (x > end), "time {x:g} s", rule)
 
 
-def check_profile(reader: TableReader, series: Series, case: Case) -> None:
+def _check_profile(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse radii that are not those of the body."""
     (low, high), x = getattr(case, series.body).r, series.x
     outside = (x < low) | (x > high)
@@ -287,14 +268,6 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
             f"{series.file or 'r'}: has no reading within the contact, {a:g} to {b:g} mm; must "
             "have one at least"
         )
-
-
-def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
-    """Refuse depths that no body has."""
-    highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
-    rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
-    deep = np.abs(series.value) > highest
-    refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)
 
 
 def averaged(series: Series, end: float) -> Series:
