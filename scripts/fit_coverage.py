@@ -24,7 +24,7 @@ from ringwear_par.identification.definition import problem as fits
 from ringwear_par.identification.emulator import Box, emulate
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import judged
-from ringwear_par.identification.readings import growth, nuisance_columns
+from ringwear_par.identification.nuisances import nuisance_columns
 from ringwear_par.results.progress import StopSignals
 
 Wanted = Sequence[tuple[int, FloatArray]]
@@ -164,13 +164,13 @@ class Laboratory:
             read = []
             for s in test.series:
                 values, y = y[: s.n], y[s.n :]
-                columns = nuisance_columns(s, test.case).T
+                columns = nuisance_columns(s, test.case, max(random.normal(*TIME), 100.0)).T
                 for nuisance, column in zip(s.linear_nuisances, columns, strict=True):
                     mean, sd = nuisance.prior or (0.0, FREE)
-                    values = values + (mean + sd * random.standard_normal()) * column
-                if s.growth_time:
-                    grown = growth(WARM, test.case, s.x, max(random.normal(*TIME), 100.0))
-                    values = values - 2.0 * FREE * np.exp(0.3 * random.standard_normal()) * grown
+                    size, grown = mean + sd * random.standard_normal(), nuisance is WARM
+                    values = (
+                        values + (-2.0 * FREE * np.exp(0.3 * size / sd) if grown else size) * column
+                    )
                 read.append(replace(s, value=values + s.sd * random.standard_normal(s.n)))
             tests.append(replace(test, series=tuple(read)))
         self.problem = replace(self.problem, experiments=tuple(tests))

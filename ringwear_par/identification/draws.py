@@ -6,7 +6,7 @@ ArviZ opens too.
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -143,64 +143,59 @@ def write_draws(
     places : "test", "series" and "at" (s or mm) of each reading, (n,).
     readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n).
     """
-    by_chain = (CHAINS, len(draws) // CHAINS)
+    by_chain = {"chain": CHAINS, "draw": len(draws) // CHAINS}
     with atomic_hdf5(path) as file:
         file.attrs.update({"software": SOFTWARE, **versions})
         group = file.create_group("posterior")
-        group.attrs["fit"] = json.dumps(
-            {
-                "keys": draws.keys, "units": draws.units, "logarithmic": draws.logarithmic.tolist(),
-                "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter],
-                "specimens": draws.specimens,
-                "laws": dict(draws.laws), "conditions": draws.conditions.tolist(),
-                "effective": draws.effective,
-            }
-        )  # fmt: skip
-        _axes(group, chain=CHAINS, draw=by_chain[1], test=len(draws.specimens))
-
-        def put(name: str, values: FloatArray, unit: str, meaning: str, *more: str) -> None:
-            variable = Variable(name, ("chain", "draw", *more), unit, meaning)
-            write_variable(group, variable, values.reshape(*by_chain, *values.shape[1:]))
-
-        values, of_tests = draws.values(draws.material), draws.values(draws.tests)
-        for j, (key, unit) in enumerate(zip(draws.keys, draws.units, strict=True)):
-            put(key, values[:, j], unit, "value of the material")
-            if any(scattering == key for scattering, _ in draws.scatter):
-                put(
-                    f"{key} of tests",
-                    of_tests[..., j],
-                    unit,
-                    "value of the test's specimen",
-                    "test",
-                )
-        for (key, level), sd in draws.scatter.items():
-            put(_scatter_name(key, level), sd, "1", "standard deviation of the unknown")
-        for body, sizes in zip(BODIES, draws.process.T, strict=True):
-            if sizes.any():
-                put(f"process.wear.{body}", sizes, "mm", "size of the random wear")
+        group.attrs["fit"] = json.dumps({
+            "keys": draws.keys, "units": draws.units, "logarithmic": draws.logarithmic.tolist(),
+            "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter],
+            "specimens": draws.specimens, "laws": dict(draws.laws),
+            "conditions": draws.conditions.tolist(), "effective": draws.effective,
+        })  # fmt: skip
+        _write(group, {**by_chain, "test": len(draws.specimens)}, _columns(draws))
         for name, array in readings.items():
+            axes = {**(by_chain if array.ndim > 1 else {}), "place": array.shape[-1]}
             group = file.create_group(name)
-            if array.ndim == 1:
-                _axes(group, place=len(array))
-                variable = Variable("reading", ("place",), "1", "what was read")
-                write_variable(group, variable, array)
-            else:
-                _axes(group, chain=CHAINS, draw=by_chain[1], place=array.shape[-1])
-                put("reading", array, "1", name.replace("_", " "), "place")
+            _write(group, axes, [("reading", array, "1", name.replace("_", " "))])
             for place, entries in places.items():
                 meaning = f"{place} of the reading"
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
 
 
-def _axes(group: h5py.Group, **sizes: int) -> None:
-    for name, size in sizes.items():
+def _columns(draws: Draws) -> Iterator[tuple[str, FloatArray, str, str]]:
+    """Yield name, values (s, ...), unit and meaning of each variable of the posterior."""
+    material, tests = draws.values(draws.material), draws.values(draws.tests)
+    scattering = {key for key, _ in draws.scatter}
+    for j, (key, unit) in enumerate(zip(draws.keys, draws.units, strict=True)):
+        yield key, material[:, j], unit, "value of the material"
+        if key in scattering:
+            yield f"{key} of tests", tests[..., j], unit, "value of the test's specimen"
+    for (key, level), sd in draws.scatter.items():
+        yield _scatter_name(key, level), sd, "1", "standard deviation of the unknown"
+    for body, sizes in zip(BODIES, draws.process.T, strict=True):
+        if sizes.any():
+            yield f"process.wear.{body}", sizes, "mm", "size of the random wear"
+
+
+def _write(
+    group: h5py.Group,
+    axes: Mapping[str, int],
+    columns: Iterable[tuple[str, FloatArray, str, str]],
+) -> None:
+    """Write axes by their lengths, and variables along the first ones of them, or all."""
+    for name, size in axes.items():
         axis = Variable(name, (name,), "1", f"number of the {name}", integer=True)
         write_variable(group, axis, np.arange(size))
+    names, sizes = tuple(axes), tuple(axes.values())
+    for name, values, unit, meaning in columns:
+        count = values.ndim + ("chain" in axes)
+        variable = Variable(name, names[:count], unit, meaning)
+        write_variable(group, variable, values.reshape(sizes[:count]))
 
 
 def _scatter_name(key: str, level: str) -> str:
-    plural = "batches" if level == "batch" else f"{level}s"
-    return f"scatter of {key} between {plural}"
+    return f"scatter of {key} between {'batches' if level == 'batch' else f'{level}s'}"
 
 
 def read_draws(path: Path) -> Draws:
@@ -213,28 +208,26 @@ def read_draws(path: Path) -> Draws:
     with reading(path, SOFTWARE, "the draws of ringwear fit") as file:
         group = file["posterior"]
         about = json.loads(group.attrs["fit"])
-        keys, scatter = tuple(about["keys"]), [(key, level) for key, level in about["scatter"]]
-        logarithmic = np.array(about["logarithmic"])
 
-        def column(name: str) -> FloatArray:
+        def columns(name: str, *otherwise: FloatArray) -> FloatArray:
+            if name not in group and otherwise:
+                return otherwise[0]
             values: FloatArray = group[name][()]
             return values.reshape(-1, *values.shape[2:])
 
-        count, tests = column(keys[0]).size, len(about["specimens"])
-        values, of_tests = np.empty((count, len(keys))), np.empty((count, tests, len(keys)))
-        for j, key in enumerate(keys):
-            values[:, j] = column(key)
-            name = f"{key} of tests"
-            of_tests[..., j] = column(name) if name in group else values[:, j, None]
-        for unknowns in (values, of_tests):
-            unknowns[..., logarithmic] = np.log(unknowns[..., logarithmic])
-        process = np.zeros((count, len(BODIES)))
-        for number, body in enumerate(BODIES):
-            if f"process.wear.{body}" in group:
-                process[:, number] = column(f"process.wear.{body}")
+        material, tests = [columns(key) for key in about["keys"]], []
+        for key, values in zip(about["keys"], material, strict=True):
+            alike = np.repeat(values[:, None], len(about["specimens"]), axis=1)
+            tests.append(columns(f"{key} of tests", alike))
+        logarithmic, none = np.array(about["logarithmic"]), np.zeros(len(material[0]))
+        of_material, of_tests = np.stack(material, axis=-1), np.stack(tests, axis=-1)
+        for values in (of_material, of_tests):
+            values[..., logarithmic] = np.log(values[..., logarithmic])
         return Draws(
-            keys, tuple(about["units"]), logarithmic, np.array(about["bounds"]), values, of_tests,
-            {(key, level): column(_scatter_name(key, level)) for key, level in scatter}, process,
+            tuple(about["keys"]), tuple(about["units"]), logarithmic, np.array(about["bounds"]),
+            of_material, of_tests,
+            {(key, level): columns(_scatter_name(key, level)) for key, level in about["scatter"]},
+            np.stack([columns(f"process.wear.{body}", none) for body in BODIES], axis=1),
             tuple(about["specimens"]), about["laws"], np.array(about["conditions"], dtype=float),
             about["effective"],
         )  # fmt: skip

@@ -1,6 +1,5 @@
 """The dry run of a fit: what its readings would tell if the parameters had their starts."""
 
-from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -66,27 +65,13 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
             words = f"would not be identified: {direction(problem, covariance, j)}"
         of = " of the material" * (parameter.scatter is not None)
         lines.append(f"  {row.label.ljust(width)}  {row.value}{of}  {words}")
-    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter]
-    if taken := [key for key, sizes in scatters if None in sizes.values()]:
+    if taken := [
+        p.key for p in problem.parameters if p.scatter and None in p.scatter.sizes.values()
+    ]:
         lines.append(
             f"  the scatter of {', '.join(taken)} is taken as known; a fit of few specimens, which "
             "has to find it, has wider intervals"
         )
-    lines += _readings(problem)
     if problem.alternatives:
         lines.append(f"to be compared: {', '.join(problem.alternatives)}")
     return "\n".join(lines)
-
-
-def _readings(problem: Problem) -> list[str]:
-    """Return a line of each kind of readings: how many, and of how many tests."""
-    found: dict[str, list[int]] = defaultdict(list)
-    for test in problem.experiments:
-        for name in dict.fromkeys(series.quantity for series in test.series):
-            found[name].append(sum(s.n for s in test.series if s.quantity == name))
-        for measured in test.inputs:
-            found[f"{measured.key} as measured"].append(measured.series.n)
-    return [
-        f"  {name}: {counted(sum(counts), 'reading')} of {counted(len(counts), 'test')}"
-        for name, counts in found.items()
-    ]

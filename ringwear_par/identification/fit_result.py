@@ -118,7 +118,7 @@ def result_of(solution: Solution) -> FitResult:
     for i, likelihood in enumerate(posterior.likelihoods):
         series, drawn = fitted_series(likelihood, best[i], x[some, i], solution.depths, random)
         every, scales = every + series, scales + drawn
-    shares = np.median(posterior.shares(solution.theta, posterior.known), axis=0)
+    shares = np.median(posterior.shares(solution.theta), axis=0)
     scores, information = np.stack([
         scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
         for i, likelihood in enumerate(posterior.likelihoods)
@@ -172,7 +172,7 @@ def _draws(solution: Solution, rows: Any, material: FloatArray) -> Draws:
     """Return the draws that are kept: some rows of ``theta``, and the material's unknowns there."""
     problem, posterior, theta = solution.problem, solution.posterior, solution.theta[rows]
     sizes = np.zeros((len(rows), len(BODIES)))
-    shares = posterior.shares(theta, posterior.known)
+    shares = posterior.shares(theta)
     for place, (key, process) in enumerate(problem.settings.process.items()):
         found = shares[:, place] ** 2 * solution.depths[place]
         sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
@@ -183,8 +183,8 @@ def _draws(solution: Solution, rows: Any, material: FloatArray) -> Draws:
         bounds=np.array([p.bounds for p in problem.parameters], dtype=float),
         material=material, tests=posterior.of_tests(theta),
         scatter={
-            (problem.keys[s.key], level): s.size(theta, number)
-            for s in posterior.scatterings for number, level in enumerate(s.levels)
+            (problem.keys[s.key], level): size(theta)
+            for s in posterior.scatterings for level, size in s.levels.items()
         },
         process=sizes,
         specimens=tuple(test.groups[0] for test in problem.experiments),
@@ -211,11 +211,9 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     for i, emulated in enumerate(posterior.likelihoods):
         likelihood, series = emulated.likelihood, emulated.likelihood.test.series
         each = likelihood.least_squares(emulated.emulator(points[:, i]))
-        for row, part, (noise, growth) in zip(
-            each, likelihood.parts, likelihood.noises, strict=True
-        ):
+        for row, part, noise in zip(each, likelihood.parts, likelihood.noises, strict=True):
             given = not any(series[number].sd_fitted for number in part)
-            parts.append((row, noise.freedom - growth.free, given))
+            parts.append((row, noise.freedom, given))
     squares, freedom, known = map(np.array, zip(*parts, strict=True))
     total, p_value, free = squares.sum(axis=0), None, float(freedom[known].sum())
     if not student and free >= 1.0:
@@ -224,8 +222,7 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     at_mode = float(total[0])
     if student:  # the sd of outliers is larger in the others
         at_mode = sum(float(np.square(one.misfits).sum()) for one in every)
-    shares = posterior.shares(best, posterior.known)
-    log_p = float(posterior.of_readings(posterior.of_tests(best), shares)[0])
+    log_p = float(posterior.of_readings(best)[0])
     return {
         "chi2": at_mode, "n_data": sum(one.series.n for one in every),
         "degrees_of_freedom": max(float(freedom.sum()) - raised, 0.0), "p_value": p_value,

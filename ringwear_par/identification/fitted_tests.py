@@ -117,7 +117,7 @@ def _with_all(
     models, clocks = readings + added, likelihood.setting.clocks
     if not clocks:
         return models, np.zeros((*models.shape, 0)), values, times
-    ((noise, _),) = likelihood.noises
+    (noise,) = likelihood.noises
     worn = noise.random_wear((likelihood.data - models).T, random).T
     felt = np.stack([slope for slope, _ in clocks], axis=1)
     return models + (worn * felt).sum(axis=2), worn, values, times

@@ -10,7 +10,7 @@ import math
 import pickle
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -21,21 +21,19 @@ from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.cases.smooth_keys import is_elastic
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.elastic import assemble, operator_key
+from ringwear_par.history.elastic import operator_key
 from ringwear_par.identification.definition.problem import Experiment, Problem
-from ringwear_par.identification.readings import Reader, trajectory
+from ringwear_par.identification.readings import read
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.progress import Progress, StopSignals, name_of
-from ringwear_par.results.result import Result
 from ringwear_par.studies.many import computed
 from ringwear_par.studies.variations import split_key
 
 T = TypeVar("T")
 #: test and values of its keys
 Entry = tuple[int, tuple[float, ...]]
-#: the tests, and of which histories are wanted, number of steps, factors on rates
-Request = tuple[tuple[Experiment, ...], list[Entry], int, tuple[float, float]]
-Row = FloatArray | ComputationError
+#: readings (n,), or why there is no history
+Row = FloatArray | str
 #: number of steps of a test with constant conditions
 STEPS = 40
 #: factor on the number of steps, equal ones, where layers may be worn through
@@ -53,10 +51,6 @@ _CLOSE = 1e-7
 _DIFFERENCE = 1e-4
 
 
-class HistoryError(ComputationError):
-    """There is no history at some values of the fitted keys: no case, or its computation fails."""
-
-
 class StoppedError(ComputationError):
     """A fit that a signal asked to stop."""
 
@@ -64,9 +58,8 @@ class StoppedError(ComputationError):
 class Readings:
     """What instruments read of the tests of a problem at any unknowns of its keys.
 
-    Making one is collective on comm, and raises ComputationError where the assembly fails. The
-    first rank asks, within ``lead``; ``problem`` may be replaced there by one with other inputs or
-    series, of the same tests.
+    The first rank of comm asks, within ``lead``; it may replace ``problem`` there by one with other
+    inputs or series, of the same tests.
     """
 
     def __init__(self, problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> None:
@@ -77,14 +70,8 @@ class Readings:
         self.steps = STEPS
         #: histories computed, those that failed, and why the first one did
         self.count, self.failed, self.reason = 0, 0, ""
-        #: operators of the tests, and those of the values of the last block
-        self._kept: dict[Hashable, ContactPair] = {}
+        #: operators of the last block
         self._pairs: dict[Hashable, ContactPair] = {}
-        with together(comm):
-            for test in problem.experiments:
-                key = operator_key(test.case)
-                if not is_elastic(test.case, problem.keys) and key not in self._kept:
-                    self._kept[key] = assemble(test.case, comm)
 
     @property
     def same_as(self) -> list[int]:
@@ -111,7 +98,7 @@ class Readings:
                     comm.bcast(None)
             else:
                 while (request := comm.bcast(None)) is not None:
-                    self._share(request)
+                    self._shared(*request)
         with together(comm):
             answer: T = pickle.loads(comm.bcast(content))
         return answer
@@ -139,39 +126,43 @@ class Readings:
         factors : on all rates of wear of lower and upper.
         """
         problem, same_as = self.problem, self.same_as
-        at = [
+        blocks = [
             [(same_as[test], tuple(problem.values(x).tolist())) for x in points]
             for test, points in wanted
         ]
         # equal bodies together, whose operator is then assembled once
-        entries = sorted({*itertools.chain(*at)}, key=lambda entry: (entry[1], entry[0]))
-        request: Request = (problem.experiments, entries, steps or self.steps, factors)
+        entries = sorted({*itertools.chain(*blocks)}, key=lambda entry: (entry[1], entry[0]))
+        request = entries, problem.experiments, steps or self.steps, factors
         if self._comm.size > 1:
             self._comm.bcast(request)
-        found = dict(zip(entries, self._share(request), strict=True))
-        failures = [row for row in found.values() if isinstance(row, ComputationError)]
-        self.count, self.failed = self.count + len(found), self.failed + len(failures)
-        self.reason = self.reason or next(map(reason_of, failures), "")
-        blocks = []
-        for (test, _), places in zip(wanted, at, strict=True):
-            blocks.append(np.full((len(places), problem.experiments[test].n), np.nan))
-            for line, entry in zip(blocks[-1], places, strict=True):
-                row = found[entry]
-                if not isinstance(row, ComputationError):
-                    line[:] = row
-        return blocks
+        rows = dict(zip(entries, self._shared(*request), strict=True))
+        reasons = [row for row in rows.values() if isinstance(row, str)]
+        self.count, self.failed = self.count + len(rows), self.failed + len(reasons)
+        self.reason = self.reason or next(iter(reasons), "")
+        found = []
+        for (test, _), block in zip(wanted, blocks, strict=True):
+            none = np.full(problem.experiments[test].n, np.nan)
+            of_block = [none if isinstance(row := rows[entry], str) else row for entry in block]
+            found.append(np.array(of_block).reshape(len(block), len(none)))
+        return found
 
-    def _share(self, request: Request) -> list[Row]:
+    def _shared(
+        self,
+        entries: Sequence[Entry],
+        experiments: Sequence[Experiment],
+        steps: int,
+        factors: tuple[float, float],
+    ) -> list[Row]:
         """Return the rows of all ranks on the first one, each of which computes a part. Collective.
 
         Errors are raised on the first rank; the others go on to serve, as that ends the job.
         """
-        comm, entries, rows, error = self._comm, request[1], [], None
+        comm, rows, error = self._comm, list[Row](), None
         ends = np.linspace(0, len(entries), comm.size + 1).astype(int)
         mine = entries[ends[comm.rank] : ends[comm.rank + 1]]
         if mine and not self._signals.received:
             try:
-                rows = self._computed(mine, *request)
+                rows = self._computed(mine, experiments, steps, factors)
             except Exception as failure:
                 if comm.size == 1:
                     raise
@@ -188,40 +179,42 @@ class Readings:
         self,
         entries: Sequence[Entry],
         experiments: Sequence[Experiment],
-        _: Sequence[Entry],
         steps: int,
         factors: tuple[float, float],
     ) -> list[Row]:
         """Return the readings at each (test, values of the keys), by this rank alone."""
-        tests = {test: experiments[test] for test, _ in entries}
-        readers = {test: Reader(experiment) for test, experiment in tests.items()}
-        grids = {test: step_times(experiment, steps) for test, experiment in tests.items()}
-        rows: dict[int, Row] = {}
-        found: dict[int, Any] = {}
-        for test, experiment in tests.items():
-            numbers = [i for i, (owner, _) in enumerate(entries) if owner == test]
+        owners = np.array([test for test, _ in entries])
+        tests = np.unique(owners).tolist()
+        grids = {test: step_times(experiments[test], steps) for test in tests}
+        by_entry: dict[int, Case | InputError] = {}
+        for test in tests:
+            numbers = np.flatnonzero(owners == test).tolist()
             points = np.array([entries[i][1] for i in numbers])
-            found |= zip(numbers, cases_at(experiment.case, self._keys, points), strict=True)
-        owners = [entries[i][0] for i in found]
+            found = cases_at(experiments[test].case, self._keys, points)
+            by_entry |= zip(numbers, found, strict=True)
+        cases = [by_entry[i] for i in range(len(entries))]
         paces = [np.repeat(np.array([factors]).T, len(grids[test]), axis=1) for test in owners]
         parts, failed = computed(
-            [*found.values()], self._pairs, results=True,
-            step_times=[grids[test].tolist() for test in owners],
+            cases, self._pairs, step_times=[grids[test].tolist() for test in owners],
             paces=None if factors == (1.0, 1.0) else paces,
         )  # fmt: skip
-        used = {operator_key(case) for case in found.values() if isinstance(case, Case)}
-        self._pairs = {k: pair for k, pair in self._pairs.items() if k in used | {*self._kept}}
-        results: dict[int, Result | Exception] = {**failed}
-        numbers = [*found]
+        used = {operator_key(case) for case in cases if isinstance(case, Case)}
+        self._pairs = {key: pair for key, pair in self._pairs.items() if key in used}
+        rows: list[Row] = [reason_of(failed[i]) if i in failed else "" for i in range(len(cases))]
         for part in parts:
-            results |= part.results()
-        for place, result in results.items():
-            i = numbers[place]
-            if isinstance(result, Result):
-                rows[i] = readers[entries[i][0]].read(trajectory(result, found[i]))
-            else:
-                rows[i] = HistoryError(reason_of(result))
-        return [rows[i] for i in range(len(entries))]
+            columns, of_part = part.columns, np.array(part.numbers)
+            for number, reason in zip(part.numbers, columns.reason, strict=True):
+                rows[number] = reason
+            done = np.flatnonzero(np.array(columns.status) == "done")
+            for test in np.unique(owners[of_part[done]]).tolist():
+                places = done[owners[of_part[done]] == test]
+                at = columns.offsets[places, None] + np.arange(len(grids[test]) + 1)
+                data = {name: values[at] for name, values in columns.data.items()}
+                numbers = of_part[places].tolist()
+                readings = read(experiments[test], [cases[i] for i in numbers], data)
+                for number, row in zip(numbers, readings, strict=True):
+                    rows[number] = row
+        return rows
 
     def with_slopes(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
         """Return readings (d, n) of each test at unknowns (d, m), and derivatives (n, d, m).
@@ -291,24 +284,24 @@ def _limited(grown: FloatArray, count: int) -> FloatArray:
     return np.concatenate([early, equal[equal > early.max(initial=0.0)]])
 
 
-def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | HistoryError]:
-    """Return the cases (p,) at values (p, m) of keys, an error in place of each that is refused."""
+def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | InputError]:
+    """Return the cases (p,) at values (p, m) of keys, or why a case is refused in its place."""
 
-    def read(point: FloatArray) -> Case | HistoryError:
+    def read_anew(point: FloatArray) -> Case | InputError:
         try:
             return case.replace(dict(zip(keys, point.tolist(), strict=True)))
         except InputError as error:
-            return HistoryError(reason_of(error))
+            return error
 
     if is_elastic(case, keys):
-        return [read(point) for point in points]
+        return [read_anew(point) for point in points]
     numbers: dict[Number, FloatArray] = {}
     for key, column in zip(keys, points.T, strict=True):
         path, entry = split_key(key)
         assert not isinstance(entry, int)
         numbers[path, entry] = column
     lists = {number: values.tolist() for number, values in numbers.items()}
-    cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
+    cases: list[Case | InputError] = [*with_numbers(case, lists, [case.text] * len(points))]
     for i in np.flatnonzero(needs_reading(case, numbers)):
-        cases[i] = read(points[i])
+        cases[i] = read_anew(points[i])
     return cases

@@ -131,15 +131,13 @@ def _scatter(
     """Return what fit.json tells of a key that scatters, by the unknown of the material (s,)."""
     theta, problem = solution.theta, solution.problem
     level, spread = problem.settings.level, s.spread(theta)
-    assert parameter.scatter is not None
     scatter: dict[str, dict[str, Any]] = {}
-    for number, name in enumerate(s.levels):
-        size = s.size(theta, number)
-        scatter[name] = {"known": s.known[number]}
-        if s.sizes[number] is not None:
-            verdict, _ = judged(size, 0.0, np.inf, parameter.scatter.scale, level)
-            scatter[name] = {**_quantiles(size, level), "verdict": verdict}
-        scatter[name]["groups"] = int(np.unique(s.same[number], axis=0).shape[0])
+    for (name, size), same in zip(s.levels.items(), s.same, strict=True):
+        scatter[name] = {"known": size.known}
+        if size.place is not None:
+            verdict, _ = judged(size(theta), 0.0, np.inf, size.scale, level)
+            scatter[name] = {**_quantiles(size(theta), level), "verdict": verdict}
+        scatter[name]["groups"] = len(np.unique(same, axis=0))
     following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
     bounds = map(np.array, map(parameter.unknown, parameter.bounds))
     following = reflected(following, *bounds)
@@ -152,7 +150,7 @@ def _scatter(
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
     total = float(np.median(spread))
     if "specimen" in s.levels:
-        s_r = float(np.median(s.size(theta, s.levels.index("specimen"))))
+        s_r = float(np.median(s.levels["specimen"](theta)))
         entry["repeatability"] = {"s_r": s_r, "r": 2.8 * s_r}
     if {*s.levels} != {"specimen"}:
         entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
@@ -184,7 +182,7 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each body whose wear is random."""
     problem, posterior, entries = solution.problem, solution.posterior, {}
     level, depths = problem.settings.level, solution.depths.tolist()
-    shares = posterior.shares(solution.theta, posterior.known)
+    shares = posterior.shares(solution.theta)
     records = [s for test in problem.experiments for s in test.series if not s.profile]
     most = max((record.n for record in records), default=0)
     for (key, process), share, depth in zip(

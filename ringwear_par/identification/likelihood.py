@@ -12,13 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.special import gammaln, log_ndtr, logsumexp
+from scipy.special import log_ndtr, logsumexp
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Loss, records
 from ringwear_par.identification.emulator import Emulator
 from ringwear_par.identification.noise import (
-    Growth,
     Noise,
     Setting,
     drawn_nodes,
@@ -28,7 +27,7 @@ from ringwear_par.identification.noise import (
 )
 
 #: logarithms of the least and the largest share of random wear
-LOG_SHARES = np.log([1e-3, 1.0])
+LOG_SHARES = (float(np.log(1e-3)), 0.0)
 #: nodes of each share by the number of bodies whose share is fitted
 _SHARE_NODES = {0: 1, 1: 24, 2: 20}
 #: growth times whose log likelihood is less than the largest by more count nowhere; points that
@@ -62,25 +61,12 @@ class TestLikelihood:
         rest = [i for i in numbers if i not in apart]
         #: numbers of the series that are judged together
         self.parts = [*([rest] if rest else []), *([i] for i in apart)]
-        #: noise and thermal growth of each part
+        #: noise of each part
         self.noises = self.noises_at(shares)
 
-    def noises_at(self, shares: FloatArray) -> list[tuple[Noise, Growth]]:
-        """Return noise and thermal growth of each part, at shares (bodies,) of random wear."""
-        noises = [(part, Noise(self.test, part, self.setting, shares)) for part in self.parts]
-        return [(noise, Growth(self.test, part, noise)) for part, noise in noises]
-
-    def log_p(self, part: Sequence[int], freedom: float, squares: FloatArray) -> FloatArray:
-        """Return log p (...) of a part at sums of squares (...), but for the constants of noise.
-
-        Where the sd is fitted it is integrated out.
-        """
-        fitted = len(part) == 1 and self.test.series[part[0]].sd_fitted and not self.setting.clocks
-        if not fitted:
-            return -0.5 * squares
-        half = 0.5 * max(freedom, 1.0)
-        logs: FloatArray = gammaln(half) - half * np.log(np.maximum(0.5 * squares, 1e-300))
-        return logs
+    def noises_at(self, shares: FloatArray) -> list[Noise]:
+        """Return the noise of each part at shares (bodies,) of random wear."""
+        return [Noise(self.test, part, self.setting, shares) for part in self.parts]
 
     def of_limits(self, readings: FloatArray) -> FloatArray:
         """Return log p (...) of the limits, by the model's readings (..., limits) there."""
@@ -95,12 +81,11 @@ class TestLikelihood:
 
     def _squares(self, readings: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return squares and log p (K, P) of each part at its growth times, see ``by_node``."""
-        every = []
-        for part, (noise, grown) in zip(self.parts, self.noises, strict=True):
-            squares = grown.squares(noise(self._rows(noise, readings)))
-            logs = self.log_p(part, noise.freedom - grown.free, squares)
-            every.append((squares, noise.log_constant + grown.log_constants[:, None] + logs))
-        return every
+        every = [noise.squares(self._rows(noise, readings)) for noise in self.noises]
+        logs = [
+            n.log_constants[:, None] + n.density(s) for n, s in zip(self.noises, every, strict=True)
+        ]
+        return list(zip(every, logs, strict=True))
 
     def by_node(self, readings: FloatArray) -> list[FloatArray]:
         """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
@@ -108,11 +93,9 @@ class TestLikelihood:
 
     def least_squares(self, readings: FloatArray) -> FloatArray:
         """Return sums of squares (parts, P), those of priors too, at the likeliest growth times."""
+        at = np.arange(len(readings))
         return np.array(
-            [
-                squares[logs.argmax(axis=0), np.arange(len(readings))]
-                for squares, logs in self._squares(readings)
-            ]
+            [squares[logs.argmax(axis=0), at] for squares, logs in self._squares(readings)]
         )
 
     def __call__(self, readings: FloatArray) -> FloatArray:
@@ -133,19 +116,13 @@ class TestLikelihood:
         added, count = np.zeros_like(readings), len(readings)
         values: dict[tuple[int, str], FloatArray] = {}
         times: dict[int, FloatArray] = {}
-        every = zip(self.parts, self.noises, self.by_node(readings), strict=True)
-        for part, (noise, grown), logs in every:
+        for noise, logs in zip(self.noises, self.by_node(readings), strict=True):
             nodes = logs.argmax(axis=0) if random is None else drawn_nodes(logs, count, random)
-            rows = self._rows(noise, readings)
-            amplitudes = grown.amplitudes(noise(rows), nodes, random)
-            growths = np.einsum("gp,pgn->np", amplitudes, grown.columns[nodes])
-            linear = noise.nuisances(rows - growths, random)
-            added[:, noise.rows] = (noise.columns @ linear + growths).T
-            owners = [(i, n.kind) for i in part for n in self.test.series[i].linear_nuisances]
-            owners += [(-1, str(j)) for j in range(len(linear) - len(owners))]
-            owners += [(i, "thermal") for i in grown.series]
-            values.update(zip(owners, [*linear, *amplitudes], strict=True))
-            times.update(zip(grown.series, grown.times[nodes].T, strict=True))
+            rows, owners = self._rows(noise, readings), noise.nuisances.owners
+            explained, of_part = noise.explained(rows, nodes, random)
+            added[:, noise.rows] = explained.T
+            values.update(zip(owners, of_part, strict=True))
+            times |= {i: noise.nuisances.times[nodes] for i, kind in owners if kind == "thermal"}
         return added, values, times
 
     def adapted(self, readings: FloatArray, loss: Loss) -> Setting:
@@ -180,12 +157,18 @@ class EmulatedLikelihood:
     ----------
     likelihood : of the test.
     emulator : of its readings.
+    fitted : numbers of the bodies whose share of random wear differs between draws; None: of all.
     """
 
-    def __init__(self, likelihood: TestLikelihood, emulator: Emulator) -> None:
+    def __init__(
+        self,
+        likelihood: TestLikelihood,
+        emulator: Emulator,
+        fitted: Sequence[int] | None = None,
+    ) -> None:
         self.likelihood, self.emulator = likelihood, emulator
-        known = likelihood.setting.shares if likelihood.setting.clocks else np.zeros(0)
-        self._fitted = np.flatnonzero(np.isnan(known))
+        bodies = range(len(likelihood.setting.clocks))
+        self._fitted = [i for i in bodies if fitted is None or i in fitted]
         self._count = _SHARE_NODES[len(self._fitted)]
         at, (low, high) = np.cos(np.pi * (np.arange(self._count) + 0.5) / self._count), LOG_SHARES
         weights = np.ones((1, 1))
@@ -195,12 +178,12 @@ class EmulatedLikelihood:
         for chosen in itertools.product(at, repeat=len(self._fitted)):
             shares = likelihood.shares.copy()
             shares[self._fitted] = np.exp(low + 0.5 * (np.array(chosen) + 1.0) * (high - low))
-            noises = likelihood.noises_at(shares) if len(self._fitted) else likelihood.noises
-            every.append([self._form(*noises_of_part) for noises_of_part in noises])
-        #: of each part: freedom; Chebyshev coefficients in the shares (c, K, q, q) of matrices of
-        #: squares (1, z) G (1, z)' at each growth time, and (c, K) of constants
+            noises = likelihood.noises_at(shares) if self._fitted else likelihood.noises
+            every.append([self._form(noise) for noise in noises])
+        #: of each part, Chebyshev coefficients in the shares of matrices of the squares of (1, z),
+        #: (c, K, q, q), and of constants (c, K)
         self._forms = [
-            [forms[0][0], *(np.tensordot(weights, [f[i] for f in forms], 1) for i in (1, 2))]
+            [np.tensordot(weights, of, 1) for of in zip(*forms, strict=True)]
             for forms in zip(*every, strict=True)
         ]
         z = emulator.coordinates(emulator.box.design(_JUDGED))
@@ -208,17 +191,13 @@ class EmulatedLikelihood:
         for form, logs in zip(self._forms, by_node, strict=True):
             counts = np.flatnonzero((logs.T - logs.max(axis=1)).max(axis=1) > -_COUNTS)
             kept = slice(max(counts[0] - 1, 0), counts[-1] + 2)
-            form[1:] = form[1][:, kept], form[2][:, kept]
+            form[:] = form[0][:, kept], form[1][:, kept]
 
-    def _form(self, noise: Noise, growth: Growth) -> tuple[float, FloatArray, FloatArray]:
-        """Return freedom, matrices of squares (K, q, q) and constants (K,) of a part."""
+    def _form(self, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return matrices of squares (K, q, q) and constants (K,) of a part."""
         emulator, data = self.emulator, noise.data(self.likelihood.data[noise.rows])
         rows = np.column_stack([data - emulator.mean[noise.rows], -emulator.modes[:, noise.rows].T])
-        rows = noise(rows)
-        taken = growth.directions(rows, np.eye(1, rows.shape[1])[0])
-        grams = rows.T @ rows - np.einsum("kgi,kgj->kij", taken, taken)
-        grams[:, 0, 0] += growth.constant
-        return noise.freedom - growth.free, grams, noise.log_constant + growth.log_constants
+        return noise.grams(rows, np.eye(1, rows.shape[1])[0]), noise.log_constants
 
     def _by_node(self, coordinates: FloatArray, shares: FloatArray) -> list[FloatArray]:
         """Return log p (s, K) of each part at its growth times, see ``__call__``."""
@@ -228,12 +207,11 @@ class EmulatedLikelihood:
             terms = (terms[:, :, None] * more[:, None]).reshape(len(terms), -1)
         v = np.concatenate([np.ones((len(coordinates), 1)), coordinates], axis=1)
         every = []
-        for part, (freedom, grams, constants) in zip(
-            self.likelihood.parts, self._forms, strict=True
-        ):
+        for noise, (grams, constants) in zip(self.likelihood.noises, self._forms, strict=True):
             products = np.tensordot(v, grams, (1, 2))  # (s, c, K, q)
-            squares = np.einsum("sckq,sq,sc->sk", products, v, terms, optimize=True)
-            every.append(terms @ constants + self.likelihood.log_p(part, freedom, squares))
+            squares = np.einsum("sckq,sq->sck", products, v)
+            squares = np.einsum("sck,sc->sk", squares, terms)
+            every.append(terms @ constants + noise.density(squares))
         return every
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:

@@ -2,42 +2,26 @@
 
 Nuisances (offsets, drifts, the amplitude of thermal growth) are linear and have normal priors, wide
 ones where nothing is known; so has random wear, which all series of a test feel together. All are
-integrated out by linear algebra. The time of a thermal growth is not linear: it is at nodes, at
-each of which the growth takes one direction out of the squares.
+integrated out by linear algebra, at each node of the time of a thermal growth.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from scipy.linalg import block_diag, solve_triangular
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.errors import InputError, legible
-from ringwear_par.identification.definition.problem import (
-    Experiment,
-    Loss,
-    Nuisance,
-    Series,
-    records,
-)
-from ringwear_par.identification.readings import growth, nuisance_columns
+from ringwear_par.identification.definition.problem import Experiment, Loss, Series, records
+from ringwear_par.identification.nuisances import Nuisances
 
 #: degrees of freedom of the loss "student"
 _NU = 4.0
 #: Fisher information of such noise over that of normal noise
 STUDENT = (_NU + 1.0) / (_NU + 3.0)
-#: sd of a nuisance without a prior, over the largest reading; that of a growth, over their range
-_WIDE, _WIDE_GROWTH = 1e4, 100.0
 #: nodes of a growth time, and beside random wear
 _TIME_NODES, _JOINT_NODES = 192, 48
-#: sd of the prior of a growth time within which they are
-_PRIOR_SDS = 4.5
-#: (nodes, weights) by their number
-_nodes = cache(leggauss)
 
 
 def _memory(series: Series) -> tuple[FloatArray, FloatArray]:
@@ -95,36 +79,20 @@ class Setting:
     #: (n,) each, of each body whose wear is random: how readings follow a factor on its rates, over
     #: its share of the largest depth of all tests; and that share
     clocks: tuple[tuple[FloatArray, FloatArray], ...] = ()
-    #: (bodies,) share of random wear that is known; NaN where it is fitted
-    shares: FloatArray = field(default_factory=lambda: np.zeros(0))
     #: (n,) each: what the readings gain by one sd of the calibration of each measured input
     scales: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def before(cls, test: Experiment, loss: Loss = "gaussian", bodies: int = 0) -> "Setting":
-        """Return the setting before any draws, when readings may be outliers.
-
-        Parameters
-        ----------
-        bodies : number of bodies whose wear is random.
-        """
+    def before(cls, test: Experiment, loss: Loss = "gaussian") -> "Setting":
+        """Return the setting before any draws, when readings may be outliers."""
         sd = np.concatenate([series.sd for series in test.series]) * (1.0 + (loss == "student"))
-        return cls(sd, np.zeros(test.n), shares=np.full(bodies, np.nan))
-
-
-def _prior(nuisance: Nuisance, widest: float) -> tuple[float, float]:
-    """Return mean and sd of a nuisance; bounds at both sides count as a normal distribution."""
-    if nuisance.prior is not None:
-        return nuisance.prior
-    low, high = nuisance.bounds
-    return (0.0, widest) if nuisance.free else (0.5 * (low + high), (high - low) / np.sqrt(12.0))
+        return cls(sd, np.zeros(test.n))
 
 
 class Noise:
-    """Noise of some series of a test at shares of random wear.
+    """Noise of some series of a test, random wear and nuisances, at K nodes of a growth time.
 
-    It makes rows (n, ...) of data less model white, and takes out what nuisances explain, but for
-    thermal growth: the log likelihood is ``log_constant`` - |rows|^2 / 2.
+    Of rows of data less model log p is ``log_constants``, (K,), plus ``density`` of ``squares``.
     """
 
     def __init__(
@@ -139,41 +107,42 @@ class Noise:
             (share, slope[self.rows], depth[self.rows])
             for share, (slope, depth) in zip(shares, setting.clocks, strict=False)
         ]
-        self._factor = None
-        if self.clocks:
-            covariance = np.eye(len(self.rows))
-            for share, slope, depth in self.clocks:
-                wear = self._over_noise(slope[:, None] * np.minimum.outer(depth, depth))
-                covariance += share**2 * self._over_noise(slope[:, None] * wear.T)
-            self._factor = np.linalg.cholesky(covariance)
+        self._factor = self._of_wear() if self.clocks else None
+        #: whether the sd is integrated out, flat in its logarithm
+        self.sd_fitted = len(numbers) == 1 and self._series[0].sd_fitted and not self.clocks
         scales = setting.scales if len(numbers) == len(test.series) else ()
-        #: (n, k) what a unit of each nuisance, and an sd of each calibration, add to the readings
-        self.columns = np.column_stack(
-            [block_diag(*(nuisance_columns(s, test.case) for s in self._series)), *scales]
-        )
-        widest = [_WIDE * (np.abs(s.value).max() + s.sd.max()) / s.factor for s in self._series]
-        priors = [
-            (nuisance.free, *_prior(nuisance, wide))
-            for s, wide in zip(self._series, widest, strict=True) for nuisance in s.linear_nuisances
-        ] + [(False, 0.0, 1.0)] * len(scales)  # fmt: skip
-        free, self._means, sds = np.reshape(priors, (-1, 3)).T.astype(float)
-        sds = sds * self.columns.any(axis=0)  # what adds nothing stays where it is
-        free = (free > 0.0) & (sds > 0.0)
-        normal = np.concatenate([self.white(self.columns * sds), np.eye(len(sds))])
-        basis, root = np.linalg.qr(normal)
-        self._top, self._bottom = np.split(basis, [len(self.rows)])
-        self._solution = sds[:, None] * np.linalg.inv(root)
-        #: (k, k) of the nuisances
-        self.covariance = self._solution @ self._solution.T
+        of = Nuisances.of(test, numbers, scales, _JOINT_NODES if self.clocks else _TIME_NODES)
+        self.nuisances = of
         #: degrees of freedom of the readings less free nuisances
-        self.freedom = float((~self._limit).sum() - free.sum())
+        self.freedom = float((~self._limit).sum() - of.free.sum())
+        # over their noise, and below them priors: least squares in standard normal nuisances
+        white = self.white((of.columns * of.sds).transpose(1, 0, 2)).transpose(1, 0, 2)
+        prior = np.repeat(np.eye(len(of.sds))[None], len(white), axis=0)
+        basis, root = np.linalg.qr(np.concatenate([white, prior], axis=1))
+        self._top, bottom = np.split(np.swapaxes(basis, 1, 2), [len(self.rows)], axis=2)
+        self._solution = of.sds[:, None] * np.linalg.inv(root)
+        # the data are less the means, but that of a growth, which differs between nodes
+        grows = np.array([kind == "thermal" for _, kind in of.owners], dtype=bool) & (of.sds > 0.0)
+        self._means, pull = np.where(grows, 0.0, of.means), np.zeros(len(of.means))
+        pull[grows] = of.means[grows] / of.sds[grows]
+        self._shift, self._constant = bottom @ pull, float(pull @ pull)
         given = np.concatenate([s.sd for s in self._series])
-        volume = np.log(self._sd / given)[~self._limit].sum() - np.log(sds[free]).sum()
+        volume = np.log(self._sd / given)[~self._limit].sum() - np.log(of.sds[of.free]).sum()
         volume += sum(log_volumes(s).sum() for s in self._series)
-        volume += np.log(np.abs(np.diag(root))).sum()
         if self._factor is not None:
             volume += np.log(np.diag(self._factor)).sum()
-        self.log_constant = -float(volume)
+        roots = np.abs(np.diagonal(root, axis1=1, axis2=2))
+        #: (K,)
+        self.log_constants = of.log_weights - np.log(roots).sum(axis=1) - volume
+
+    def _of_wear(self) -> FloatArray:
+        """Return the Cholesky factor of the covariance of instruments' noise and random wear."""
+        covariance = np.eye(len(self.rows))
+        for share, slope, depth in self.clocks:
+            wear = self._over_noise(slope[:, None] * np.minimum.outer(depth, depth))
+            covariance += share**2 * self._over_noise(slope[:, None] * wear.T)
+        factor: FloatArray = np.linalg.cholesky(covariance)
+        return factor
 
     def _over_noise(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) over the noise of instruments, uncorrelated; 0 of limits."""
@@ -186,31 +155,68 @@ class Noise:
     def white(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) uncorrelated, over their sd with random wear."""
         rows = self._over_noise(rows)
-        return (
-            rows
-            if self._factor is None
-            else solve_triangular(self._factor, rows, lower=True, check_finite=False)
-        )
-
-    def __call__(self, rows: FloatArray) -> FloatArray:
-        """Return rows (n, ...) white and without nuisances, (n + k, ...)."""
-        white = self.white(rows)
-        along = self._top.T @ white
-        return np.concatenate([white - self._top @ along, -self._bottom @ along])
+        if self._factor is None:
+            return rows
+        flat = rows.reshape(len(rows), -1)
+        white = solve_triangular(self._factor, flat, lower=True, check_finite=False)
+        return np.reshape(white, rows.shape)
 
     def data(self, data: FloatArray) -> FloatArray:
         """Return data (n,) less what nuisances are expected to add."""
-        return data - self.columns @ self._means
+        return data - self.nuisances.columns[0] @ self._means
 
-    def nuisances(self, rows: FloatArray, random: np.random.Generator | None = None) -> FloatArray:
-        """Return the nuisances (k, P) that suit rows (n, P) of ``data`` less the model best.
+    def squares(self, rows: FloatArray) -> FloatArray:
+        """Return sums of squares (K, P), priors' too, of rows (n, P) of ``data`` less model."""
+        white = self.white(rows)
+        along = self._top @ white + self._shift[:, :, None]
+        squares: FloatArray = np.square(white).sum(axis=0) - np.square(along).sum(axis=1)
+        return squares + self._constant
 
-        Or draws of them, where there is ``random``.
+    def grams(
+        self, rows: FloatArray, data: FloatArray, nodes: slice | int = slice(None)
+    ) -> FloatArray:
+        """Return matrices (K, q, q) of the ``squares`` of combinations of rows (n, q).
+
+        Parameters
+        ----------
+        data : (q,) 1 where the rows are of data, 0 where they are of derivatives or modes.
+        nodes : some of the nodes; one: its matrix (q, q).
         """
-        along = self._top.T @ self.white(rows)
-        if random is not None:
-            along += random.standard_normal(along.shape)
-        return self._solution @ along + self._means[:, None]
+        white = self.white(rows)
+        along = self._top[nodes] @ white + self._shift[nodes][..., None] * data
+        outer = np.swapaxes(along, -1, -2) @ along
+        return white.T @ white - outer + self._constant * np.outer(data, data)
+
+    def density(self, squares: FloatArray) -> FloatArray:
+        """Return log p (...) at sums of squares (...), but for the constants."""
+        if not self.sd_fitted:
+            return -0.5 * squares
+        half = 0.5 * max(self.freedom, 1.0)
+        logs: FloatArray = gammaln(half) - half * np.log(np.maximum(0.5 * squares, 1e-300))
+        return logs
+
+    def explained(
+        self, rows: FloatArray, nodes: IntArray, random: np.random.Generator | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the nuisances that suit rows of ``data`` less model best, or draws of them.
+
+        What they add to the readings (n, P), and their values (c, P).
+
+        Parameters
+        ----------
+        rows : (n, P)
+        nodes : (P,) of the growth time.
+        random : None: the best ones.
+        """
+        white, count = self.white(rows), rows.shape[1]
+        added, values = np.empty_like(rows), np.empty((len(self._means), count))
+        noise = np.zeros_like(values) if random is None else random.standard_normal(values.shape)
+        for node in np.unique(nodes):
+            at = nodes == node
+            along = self._top[node] @ white[:, at] + self._shift[node][:, None] + noise[:, at]
+            values[:, at] = self._solution[node] @ along + self._means[:, None]
+            added[:, at] = self.nuisances.columns[node] @ values[:, at]
+        return added, values
 
     def random_wear(
         self, rows: FloatArray, random: np.random.Generator | None = None
@@ -228,87 +234,6 @@ class Noise:
             left[np.diag_indices_from(left)] += 1e-9 * np.diag(block_diag(*own)).max()
             worn += np.linalg.cholesky(left) @ random.standard_normal(worn.shape)
         return worn.reshape(len(own), -1, rows.shape[1])
-
-
-class Growth:
-    """Thermal growth of one of some series at nodes (K,) of its growth time, over white noise.
-
-    Its amplitude is linear: at each node it takes g = 1 directions out of the squares. One node
-    without directions, g = 0, where nothing grows.
-    """
-
-    def __init__(self, test: Experiment, numbers: Sequence[int], noise: Noise) -> None:
-        #: numbers of the series
-        self.series = [i for i in numbers if test.series[i].growth_time is not None]
-        if len(self.series) > 1:
-            raise InputError(
-                f'experiment "{legible(test.name)}": only one series may have thermal growth where '
-                "wear is random or an input has a scale"
-            )
-        g, n = len(self.series), len(noise.rows)
-        #: (K, g) s, growth times; (K, g, n) what an amplitude of 1 adds to the readings
-        self.times, self.columns = np.zeros((1, g)), np.zeros((1, g, n))
-        logs, mean, sd = np.zeros(1), 0.0, 1.0
-        #: number of amplitudes that have no prior
-        self.free = 0
-        for i in self.series:
-            series, time = test.series[i], test.series[i].growth_time
-            assert time is not None
-            amplitude = next(
-                nuisance for nuisance in series.nuisances if nuisance.kind == "thermal"
-            )
-            # one that is free is not far beyond the readings: it would be an offset else
-            widest = _WIDE_GROWTH * float(np.ptp(series.value)) + float(series.sd.max())
-            mean, sd = _prior(amplitude, widest / series.factor)
-            self.free = int(amplitude.free)
-            low, high = time.bounds
-            if time.prior is not None:
-                at, spread = time.prior
-                low, high = max(low, at - _PRIOR_SDS * spread), min(high, at + _PRIOR_SDS * spread)
-            low, high = np.log([low, high])
-            nodes, weights = _nodes(_JOINT_NODES if noise.clocks else _TIME_NODES)
-            times = np.exp(low + 0.5 * (nodes + 1.0) * (high - low))
-            logs = np.log(0.5 * (high - low) * weights * times)
-            if time.prior is not None:
-                logs = logs - 0.5 * ((times - at) / spread) ** 2 - np.log(spread)
-            self.times, self.columns = times[:, None], np.zeros((len(times), 1, n))
-            part = np.isin(noise.rows, np.r_[records(test.series)[i][1]])
-            for column, t in zip(self.columns[:, 0], times.tolist(), strict=True):
-                column[part] = series.factor * growth(amplitude, test.case, series.x, t)
-        white = noise(self.columns.reshape(-1, n).T).T
-        white = white.reshape(len(logs), g, white.shape[1])
-        size = np.sqrt(np.square(white).sum(axis=2) + sd**-2)
-        self._shift = (mean / sd**2 / size)[..., None]
-        self._white, self._size = white / size[..., None], size
-        #: of the squares, by the mean of the prior
-        self.constant = g * (mean / sd) ** 2
-        #: (K,) what each node adds to the constant of the noise
-        self.log_constants = logs - np.log(size).sum(axis=1) - (g - self.free) * np.log(sd)
-
-    def directions(self, rows: FloatArray, data: FloatArray) -> FloatArray:
-        """Return (K, g, ...) whose squares are less in white rows (n', ...) of ``Noise``.
-
-        Parameters
-        ----------
-        data : (...) 1 where the rows are of data, 0 where of a mode.
-        """
-        taken: FloatArray = np.tensordot(self._white, rows, axes=1) + self._shift * data
-        return taken
-
-    def squares(self, rows: FloatArray) -> FloatArray:
-        """Return the sums of squares (K, P) at each node of white rows (n', P) of data."""
-        taken = np.square(self.directions(rows, np.ones(rows.shape[1]))).sum(axis=1)
-        return np.square(rows).sum(axis=0) + self.constant - taken
-
-    def amplitudes(
-        self, rows: FloatArray, nodes: IntArray, random: np.random.Generator | None
-    ) -> FloatArray:
-        """Return the best amplitudes (g, P), or draws, by white rows (n', P) at a node each."""
-        at = np.arange(rows.shape[1])
-        along = self.directions(rows, np.ones(len(at)))[nodes, :, at].T
-        if random is not None:
-            along = along + random.standard_normal(along.shape)
-        return along / self._size[nodes].T
 
 
 def drawn_nodes(logs: FloatArray, count: int, random: np.random.Generator) -> IntArray:

@@ -5,6 +5,7 @@ among the draws: they are found by differences, at the middle. So is the radius 
 acts, by which a torque tells it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,14 +30,12 @@ _DIFFERENCE = 0.01
 
 def needs_middle(problem: Problem) -> bool:
     """Tell whether the likelihoods of a problem depend on where the draws are."""
-    tests = problem.experiments
-    series = [series for test in tests for series in test.series]
-    return bool(
-        problem.settings.process
-        or problem.settings.loss == "student"
-        or any(test.torque_input or any(i.scale for i in test.inputs) for test in tests)
-        or any(s.sd_fitted or s.censored is not None for s in series)
-    )
+    settings, tests = problem.settings, problem.experiments
+    return bool(settings.process) or settings.loss == "student" or any(
+        test.torque_input or any(measured.scale for measured in test.inputs)
+        or any(s.sd_fitted or s.censored is not None for s in test.series)
+        for test in tests
+    )  # fmt: skip
 
 
 def settings_at(
@@ -44,53 +43,56 @@ def settings_at(
 ) -> list[Setting]:
     """Return the settings of all tests at unknowns (tests, m), the old ones without a history.
 
-    Friction is told anew by torques there: ``readings.problem`` changes. On the first rank.
+    ``readings.problem`` changes: torques tell friction anew there, and sizes of random wear that
+    are known become shares of the depths there. On the first rank.
 
     Parameters
     ----------
-    shares : (bodies,) of random wear.
+    shares : (bodies,) of random wear, where they are fitted.
     """
     _tell_friction(readings, middle)
-    problem = readings.problem
-    predicted = [y[0] for y in readings([(i, x[None]) for i, x in enumerate(middle)])]
+    tests, settings = readings.problem.experiments, readings.problem.settings
+    predicted = _read(readings, tests, middle)
     clocks, depths = random_wear(readings, middle)
-    known = np.array(
-        [
-            np.nan if process.fitted else process.share or np.sqrt((process.size or 0.0) / depth)
-            for process, depth in zip(problem.settings.process.values(), depths, strict=True)
-        ]
-    )
-    shares = np.where(np.isnan(known), shares, known)
-    settings = []
-    for i, test in enumerate(problem.experiments):
-        setting = old[i]
-        if np.isfinite(predicted[i]).all():
+    process = {
+        key: replace(noise, share=float(np.sqrt(noise.size / depth))) if noise.size else noise
+        for (key, noise), depth in zip(settings.process.items(), depths, strict=True)
+    }
+    readings.problem = replace(readings.problem, settings=replace(settings, process=process))
+    known = [noise.share for noise in process.values()]
+    at = np.array([s if k is None else k for s, k in zip(shares, known, strict=True)])
+    found = []
+    for i, (test, setting, y) in enumerate(zip(tests, old, predicted, strict=True)):
+        if np.isfinite(y).all():
             scales = _scales(readings, i, middle)
-            setting = replace(setting, clocks=tuple(clocks[i]), shares=known, scales=scales)
-            likelihood = TestLikelihood(test, setting, shares)
-            setting = likelihood.adapted(predicted[i], problem.settings.loss)
-        settings.append(setting)
-    return settings
+            now = replace(setting, clocks=tuple(clocks[i]), scales=scales)
+            setting = TestLikelihood(test, now, at).adapted(y, settings.loss)
+        found.append(setting)
+    return found
 
 
-def _read_beside(
-    readings: Readings, x: FloatArray, more: list[list[Series]], factors: tuple[float, float]
+def _read(
+    readings: Readings,
+    experiments: Sequence[Experiment],
+    x: FloatArray,
+    factors: tuple[float, float] = (1.0, 1.0),
+    tests: Sequence[int] | None = None,
 ) -> list[FloatArray]:
-    """Return the readings (n,) of all tests, and behind them of more series of each.
+    """Return the readings (n,) of tests in place of those of the problem, or of some of them.
 
     At unknowns (tests, m), by histories whose rates have factors.
     """
-    problem = readings.problem
-    tests = zip(problem.experiments, more, strict=True)
-    experiments = tuple(replace(t, series=(*t.series, *of_test)) for t, of_test in tests)
-    readings.problem = replace(problem, experiments=experiments)
-    every = readings([(i, x[i : i + 1]) for i in range(len(x))], factors=factors)
+    problem, numbers = readings.problem, range(len(x)) if tests is None else tests
+    readings.problem = replace(problem, experiments=tuple(experiments))
+    every = readings([(i, x[i : i + 1]) for i in numbers], factors=factors)
     readings.problem = problem
     return [y[0] for y in every]
 
 
-def _beside(quantity: str, x: FloatArray) -> Series:
-    return Series(f"{quantity} beside", quantity, x, np.zeros(len(x)), np.ones(len(x)))
+def _reading_too(test: Experiment, times: FloatArray, *quantities: str) -> Experiment:
+    """Return a test in which more quantities are read, behind its own series."""
+    more = (Series(f"{q} too", q, times, 0.0 * times, 0.0 * times + 1.0) for q in quantities)
+    return replace(test, series=(*test.series, *more))
 
 
 def _tell_friction(readings: Readings, x: FloatArray) -> None:
@@ -99,15 +101,16 @@ def _tell_friction(readings: Readings, x: FloatArray) -> None:
     if not any(test.torque_input for test in experiments):
         return
     grids = [step_times(test, readings.steps) for test in experiments]
-    more = [[_beside("torque", at)] for at in grids]
-    every = _read_beside(readings, x, more, (1.0, 1.0))
+    more = [_reading_too(test, at, "torque") for test, at in zip(experiments, grids, strict=True)]
+    every = _read(readings, more, x)
     for i, (test, at, y) in enumerate(zip(experiments, grids, every, strict=True)):
         force, friction = test.case.load.force, test.case.friction
         if test.torque_input is None or force is None or not np.isfinite(y).all():
             continue
-        torque, normal = y[test.n :], in_time(force, at)
-        radius = torque / np.where(normal > 0.0, in_time(friction, at) * normal, 1.0)
-        table = Table(tuple(at[normal > 0.0].tolist()), tuple(radius[normal > 0.0].tolist()))
+        normal = in_time(force, at)
+        pressed = normal > 0.0
+        radius = y[test.n :][pressed] / (in_time(friction, at) * normal)[pressed]
+        table = Table(tuple(at[pressed].tolist()), tuple(radius.tolist()))
         experiments[i] = test.with_radius(table)
     readings.problem = replace(readings.problem, experiments=tuple(experiments))
 
@@ -120,16 +123,17 @@ def random_wear(
     The depths (mm) are the largest mean ones of all tests. On the first rank.
     """
     tests = readings.problem.experiments
-    bodies = [BODIES.index(body_of_wear(key)) for key in readings.problem.settings.process]
+    bodies = [body_of_wear(key) for key in readings.problem.settings.process]
     clocks: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in tests]
-    if not bodies:
-        return clocks, np.zeros(0)
-    more = [[_beside(f"volume.{BODIES[b]}", test.times) for b in bodies] for test in tests]
-    usual = _read_beside(readings, x, more, (1.0, 1.0))
     depths = np.zeros(len(bodies))
+    if not bodies:
+        return clocks, depths
+    volumes = [f"volume.{body}" for body in bodies]
+    more = [_reading_too(test, test.times, *volumes) for test in tests]
+    usual = _read(readings, more, x)
     for place, body in enumerate(bodies):
-        lower, upper = (1.0 + _DIFFERENCE * (b == body) for b in range(len(BODIES)))
-        faster = _read_beside(readings, x, more, (lower, upper))
+        lower, upper = (1.0 + _DIFFERENCE * (b == body) for b in BODIES)
+        faster = _read(readings, more, x, (lower, upper))
         worn = [
             np.nan_to_num(y.reshape(-1, test.n)[1 + place]) / test.case.area
             for y, test in zip(usual, tests, strict=True)
@@ -145,20 +149,17 @@ def random_wear(
 
 def _scales(readings: Readings, number: int, middle: FloatArray) -> tuple[FloatArray, ...]:
     """Return what the readings (n,) of a test gain by one sd of each input's calibration."""
-    problem, test = readings.problem, readings.problem.experiments[number]
-    columns = []
+    tests, columns = [*readings.problem.experiments], []
+    test = tests[number]
     for measured in test.inputs:
         if measured.scale is None:
             continue
         both = []
         for sign in (-1.0, 1.0):
-            changed = _with_input(test, measured, 1.0 + sign * _DIFFERENCE)
-            tests = [changed if t is test else t for t in problem.experiments]
-            readings.problem = replace(problem, experiments=tuple(tests))
-            both.append(readings([(number, middle[number : number + 1])])[0][0])
+            tests[number] = _with_input(test, measured, 1.0 + sign * _DIFFERENCE)
+            both += _read(readings, tests, middle, tests=[number])
         slope = (both[1] - both[0]) / (2.0 * _DIFFERENCE)
         columns.append(slope * measured.scale.sd / measured.scale.mean)
-    readings.problem = problem
     return tuple(columns)
 
 
@@ -166,10 +167,9 @@ def _with_input(test: Experiment, measured: MeasuredInput, factor: float) -> Exp
     """Return a test whose measured input is larger by a factor: a force makes a friction less."""
     assert measured.scale is not None
     scale = measured.scale._replace(mean=factor * measured.scale.mean)
-    inputs = tuple(replace(i, scale=scale) if i is measured else i for i in test.inputs)
-    changed = replace(test, inputs=inputs)
+    changed = replace(measured, scale=scale)
+    test = replace(test, inputs=tuple(changed if i is measured else i for i in test.inputs))
     if not measured.of_torque:
-        curve = points_of(replace(measured, scale=scale).curve(test.case))
-        changed = replace(changed, case=changed.case.replace({measured.key: curve}))
-    torque = changed.torque_input
-    return changed if torque is None else changed.with_radius(torque.radius)
+        curve = points_of(changed.curve(test.case))
+        test = replace(test, case=test.case.replace({measured.key: curve}))
+    return test if test.torque_input is None else test.with_radius(test.torque_input.radius)

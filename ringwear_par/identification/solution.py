@@ -13,13 +13,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.emulator import Box, Emulator, emulate, nearness
-from ringwear_par.identification.histories import HistoryError, Readings, cases_at
+from ringwear_par.identification.histories import Readings, cases_at
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import Setting
-from ringwear_par.identification.posterior import Layout, Posterior
+from ringwear_par.identification.posterior import Posterior
 from ringwear_par.identification.sampling import draw, log_evidence
 from ringwear_par.identification.setting import needs_middle, random_wear, settings_at
 
@@ -54,7 +55,7 @@ class Solution:
     #: with friction as torques tell it at the middle of the draws
     problem: Problem
     posterior: Posterior
-    #: (s, d), see ``Layout``; states of the sampler one after another
+    #: (s, d), see ``Posterior``; states of the sampler one after another
     theta: FloatArray
     #: effective number of draws
     effective: float
@@ -106,23 +107,19 @@ class _Search:
     """Draws that come nearer to the posterior, and emulators about them."""
 
     def __init__(self, readings: Readings, seed: int) -> None:
-        self.readings, self._layout = readings, Layout(readings.problem)
-        self._random = np.random.default_rng(seed)
-        problem, bodies = readings.problem, len(self._layout.share_places)
-        self._tests = range(len(problem.experiments))
-        self._settings = [
-            Setting.before(test, problem.settings.loss, bodies) for test in problem.experiments
-        ]
+        self.readings, self._random = readings, np.random.default_rng(seed)
+        problem, prior = readings.problem, Posterior(readings.problem)
+        loss, tests = problem.settings.loss, problem.experiments
+        self._settings = [Setting.before(test, loss) for test in tests]
         self.power, self.effective = 0.0, 0.0
-        self._draws = self._layout.anywhere(_FIRST, self._random)
-        self._density = self._layout.log_prior(self._draws)
+        self._draws = prior.anywhere(_FIRST, self._random)
+        self._density = prior.log_prior(self._draws)
         #: tests with an emulator of their own, by number, and those that are like each
         self._members: dict[int, list[int]] = {}
         for i, owner in enumerate(readings.same_as):
             self._members.setdefault(owner, []).append(i)
-        #: points (P, m) with readings (P, n), by the number of the first test of equal ones
+        #: points (P, m) with readings (P, n) of each of these
         self._known: dict[int, tuple[FloatArray, FloatArray]] = {}
-        self._emulators: list[Emulator] = []
         self._error = self._step_error = np.inf
         #: number of the test whose emulator has the largest error
         self._worst = 0
@@ -131,38 +128,41 @@ class _Search:
         """Return log p (tests, P) by the readings (P, n) of all, NaN without a history."""
         return np.array([f(y) for f, y in zip(self._likelihoods, every, strict=True)])
 
-    def _read(self, x: FloatArray, *, finer: int = 1) -> list[FloatArray]:
-        """Return readings (P, n) of all tests at unknowns (P, tests, m), by histories."""
-        wanted = [(i, x[:, i]) for i in self._tests]
-        return self.readings(wanted, steps=finer * self.readings.steps)
+    def _read(
+        self, more: Sequence[tuple[int, FloatArray]] = (), *, finer: int = 1
+    ) -> list[FloatArray]:
+        """Return readings (P, n) of all tests at the draws that are tried, and of more points."""
+        wanted = [(i, self._tried[:, i]) for i in range(self._tried.shape[1])]
+        return self.readings([*wanted, *more], steps=finer * self.readings.steps)
 
     def read(self, *, adapt: bool) -> None:
         """Make boxes about the draws, and histories of some of the draws and of points there.
 
         What likelihoods take from where the draws are is taken anew at their middle.
         """
-        readings, layout = self.readings, self._layout
-        x, problem = layout.of_tests(self._draws), readings.problem
-        shares = np.median(layout.shares(self._draws, self._settings[0].shares), axis=0)
-        shares = np.nan_to_num(shares)
-        if adapt and needs_middle(problem):
+        readings, before = self.readings, self.readings.problem
+        posterior = Posterior(before)
+        x = posterior.of_tests(self._draws)
+        if adapt and needs_middle(before):
             middle = np.median(x, axis=0)
+            shares = np.median(posterior.shares(self._draws), axis=0)
             self._settings = settings_at(readings, self._settings, middle, shares)
-            if readings.problem.experiments is not problem.experiments:  # friction changed
+            if readings.problem.experiments is not before.experiments:  # friction changed
                 self._known = {}
-        pairs = zip(readings.problem.experiments, self._settings, strict=True)
+        problem = readings.problem
+        shares = np.median(Posterior(problem).shares(self._draws), axis=0)
+        pairs = zip(problem.experiments, self._settings, strict=True)
         self._likelihoods = [TestLikelihood(test, setting, shares) for test, setting in pairs]
         some = self._random.permutation(np.unique(self._draws, axis=0))[:_TRIED]
-        #: (P, tests, m) draws that have histories, readings (P, n) of all tests there, and log p
-        self._tried = layout.of_tests(some)
+        #: (P, tests, m) draws that have histories, and readings (P, n) of all tests there
+        self._tried, m = posterior.of_tests(some), len(problem.parameters)
         self._boxes = {
-            o: Box.about(x[:, tests].reshape(-1, layout.m), layout.low, layout.high, _MARGIN)
+            o: Box.about(x[:, tests].reshape(-1, m), *problem.unknown_bounds, _MARGIN)
             for o, tests in self._members.items()
         }
-        filling = {o: box.design(_FILLING * layout.m) for o, box in self._boxes.items()}
-        wanted = [(i, self._tried[:, i]) for i in self._tests]
-        blocks = readings([*wanted, *filling.items()])
-        self._true, filled = blocks[: len(wanted)], blocks[len(wanted) :]
+        filling = {o: box.design(_FILLING * m) for o, box in self._boxes.items()}
+        blocks = self._read([*filling.items()])
+        self._true, filled = blocks[: len(self._settings)], blocks[len(self._settings) :]
         if not np.isfinite(self._log_p(self._true).sum(axis=0)).any():
             raise ComputationError(f"{problem.name}: no history at any draw: {readings.reason}")
         for (o, tests), y in zip(self._members.items(), filled, strict=True):
@@ -176,21 +176,19 @@ class _Search:
     def is_right(self) -> bool:
         """Tell whether log p, by emulators and time steps, is right where the draws are."""
         true = self._log_p(self._true)
-        pairs = zip(self._posterior.likelihoods, self._emulators, strict=True)
-        off = true - np.array(
-            [f.likelihood(e(self._tried[:, i])) for i, (f, e) in enumerate(pairs)]
-        )
+        emulated = enumerate(self._posterior.likelihoods)
+        off = true - [f.likelihood(f.emulator(self._tried[:, i])) for i, f in emulated]
         self._error = float(np.nanstd(off.sum(axis=0)))
         self._worst = int(np.argmax(np.nanstd(off, axis=1)))
-        x = self._layout.of_tests(self._draws)
+        x = self._posterior.of_tests(self._draws)
         at_faces = max(
-            (np.abs(self._emulators[i].box.inside(x[:, i])) > 0.97).any(axis=1).mean()
-            for i in self._tests
+            (np.abs(f.emulator.box.inside(x[:, i])) > 0.97).any(axis=1).mean()
+            for i, f in enumerate(self._posterior.likelihoods)
         )
         lost = np.isnan(off.sum(axis=0)).mean()
         if self._error >= _RIGHT or at_faces >= _AT_FACES or lost >= _LOST:
             return False
-        finer = self._read(self._tried, finer=2)
+        finer = self._read(finer=2)
         self._step_error = float(np.nanstd((self._log_p(finer) - true).sum(axis=0)))
         if self._step_error < _MOST_SHIFT:
             return True
@@ -209,7 +207,7 @@ class _Search:
         for o, tests in self._members.items():
             points, every = self._known[o]
             good = np.isfinite(every).all(axis=1)
-            if good.sum() < 2 * self._layout.m + 2:
+            if good.sum() < 2 * points.shape[1] + 2:
                 test, reason = problem.experiments[o].name, self.readings.reason
                 raise ComputationError(f"{problem.name}: {test}: hardly any histories: {reason}")
             log_p = np.array([self._likelihoods[i](every[good]) for i in tests])
@@ -218,13 +216,13 @@ class _Search:
             emulators[o], left_out = emulate(self._boxes[o], points, every, sd, near, _GOOD)
             without |= {i: left_out[n * count : (n + 1) * count] for n, i in enumerate(tests)}
         true = self._log_p(self._true).sum(axis=0)
-        off = self._log_p([without[i] for i in self._tests]).sum(axis=0) - true
+        off = self._log_p([without[i] for i in range(len(without))]).sum(axis=0) - true
         trusted = min(_trusted(true, off, self.power), max(_LEAP * self.power, _FIRST_LEAP))
         self.power = max(self.power, trusted)
-        self._emulators = [emulators[o] for o in self.readings.same_as]
-        pairs = zip(self._likelihoods, self._emulators, strict=True)
-        emulated = [EmulatedLikelihood(likelihood, emulator) for likelihood, emulator in pairs]
-        self._posterior = Posterior(problem, emulated, self._settings[0].shares)
+        fitted = [i for i, p in enumerate(problem.settings.process.values()) if p.fitted]
+        owners = zip(self._likelihoods, self.readings.same_as, strict=True)
+        emulated = [EmulatedLikelihood(f, emulators[owner], fitted) for f, owner in owners]
+        self._posterior = Posterior(problem, emulated)
 
     def draw(self, want: float) -> None:
         """Draw anew, with the likelihood to the power; ``want`` so many effective draws."""
@@ -234,9 +232,8 @@ class _Search:
 
     def solution(self) -> Solution:
         """Return the draws, or ComputationError where emulators cannot follow histories."""
-        readings, posterior = self.readings, self._posterior
+        readings, posterior, problem = self.readings, self._posterior, self.readings.problem
         if not self._error < _ASTRAY:
-            problem = readings.problem
             raise ComputationError(
                 f"{problem.name}: polynomials cannot follow the readings of "
                 f"{problem.experiments[self._worst].name}: narrower bounds of "
@@ -245,11 +242,11 @@ class _Search:
         if readings.failed:
             self._keep_cases()
         evidence, evidence_error = log_evidence(posterior, self._draws)
-        evidence += posterior.log_constant
-        middle = np.median(self._layout.of_tests(self._draws), axis=0)
+        middle = np.median(posterior.of_tests(self._draws), axis=0)
         return Solution(
-            readings.problem, posterior, self._draws, self.effective,
-            mode(posterior, self._draws, self._density), evidence, evidence_error,
+            problem, posterior, self._draws, self.effective,
+            mode(posterior, self._draws, self._density),
+            evidence + posterior.log_constant, evidence_error,
             random_wear(readings, middle)[1], self._error, self._step_error,
             readings.steps, readings.count, readings.failed, readings.reason,
         )  # fmt: skip
@@ -258,10 +255,10 @@ class _Search:
         """Keep only draws that the rules of cases and laws allow."""
         problem, count = self.readings.problem, min(_CHECKED, len(self._draws))
         rows = np.sort(self._random.choice(len(self._draws), count, replace=False))
-        x, good = self._layout.of_tests(self._draws[rows]), np.ones(count, dtype=bool)
+        x, good = self._posterior.of_tests(self._draws[rows]), np.ones(count, dtype=bool)
         for i, test in enumerate(problem.experiments):
             found = cases_at(test.case, problem.keys, np.array([*map(problem.values, x[:, i])]))
-            good &= [not isinstance(case, HistoryError) for case in found]
+            good &= [isinstance(case, Case) for case in found]
         self._draws, self._density = self._draws[rows[good]], self._density[rows[good]]
 
 
@@ -293,7 +290,7 @@ def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatA
 
     With sizes free, it has no largest: they vanish where all specimens are alike.
     """
-    sizes = [place for place, _ in posterior.sizes]
+    sizes = [size.place for size in posterior.sizes if size.place is not None]
     best, scale = theta[np.argmax(density)].copy(), theta.std(axis=0)
     best[sizes], scale[sizes] = np.median(theta[:, sizes], axis=0), 0.0
 

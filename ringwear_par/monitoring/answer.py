@@ -180,8 +180,8 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     if new == 0 or square <= 0.0:
         return 1.0
     freedom = [
-        noise.freedom - growth.free - follower.m
-        for part, (noise, growth) in zip(old.parts, old.noises, strict=True)
+        noise.freedom - follower.m
+        for part, noise in zip(old.parts, old.noises, strict=True)
         if before.test.series[part[0]].sd_fitted
     ]
     if freedom:
@@ -220,10 +220,9 @@ def time_to_goal(
     for time in at:
         information, part = before, part_of(planned, planned.times <= time * (1.0 + 1e-9))
         jacobian = follower.weights(part) @ (follower.columns @ slopes)
-        for noise, growth in follower.likelihood_like(specimen, part).noises:
-            white = noise(jacobian[noise.rows])
-            taken = growth.directions(white, np.zeros(m))[len(growth.times) // 2]
-            information = information + white.T @ white - taken.T @ taken
+        for noise in follower.likelihood_like(specimen, part).noises:
+            middle = len(noise.nuisances.times) // 2
+            information = information + noise.grams(jacobian[noise.rows], np.zeros(m), middle)
         sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
     less = np.minimum.accumulate(sds) / sds[0]
     reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
@@ -249,14 +248,14 @@ def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
     some, old, random = specimen.some(PREDICTED), specimen.likelihood, np.random.default_rng(1)
     depths, zero = some.v @ (approach - approach[0]).T, np.zeros(len(time))
     for body, (slope, worn) in enumerate(old.setting.clocks):
-        ((noise, growth),), share, most = old.noises, specimen.shares[body], follower.most[body]
+        (noise,), share, most = old.noises, specimen.shares[body], follower.most[body]
         clock = follower.setting.clocks[body][1][: len(time)]
         readings = follower.readings(some, old.test)
         node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
         across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
-        rows = noise(np.column_stack([across, noise.data(old.data)[:, None] - readings.T]))
-        taken = growth.directions(rows, np.repeat([0.0, 1.0], [len(time), len(some.v)]))[node]
-        along = rows[:, : len(time)].T @ rows - taken[:, : len(time)].T @ taken
+        rows = np.column_stack([across, noise.data(old.data)[:, None] - readings.T])
+        data = np.repeat([0.0, 1.0], [len(time), len(some.v)])
+        along = noise.grams(rows, data, node)[: len(time)]
         variance = (share * most) ** 2 * np.minimum.outer(clock, clock) - along[:, : len(time)]
         depths += random.multivariate_normal(zero, variance, len(some.v), method="eigh")
         depths += along[:, len(time) :].T

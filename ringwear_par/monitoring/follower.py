@@ -35,7 +35,7 @@ from ringwear_par.identification.likelihood import (
     TestLikelihood,
 )
 from ringwear_par.identification.noise import Setting
-from ringwear_par.identification.readings import TimeInterpolation
+from ringwear_par.identification.readings import interpolation
 from ringwear_par.identification.setting import needs_middle, settings_at
 
 #: histories that polynomials are made of, for each fitted key and most; margin of their box
@@ -143,9 +143,7 @@ class Follower:
         breaks = (0.0, *test.case.breakpoints, test.case.time.end)
         weights = np.zeros((test.n, len(self.columns)))
         for series, rows in records(test.series):
-            part = np.eye(len(self.time) if series.timed else series.n)
-            if series.timed:
-                part = TimeInterpolation(self.time, series.x, breaks)(part)
+            part = interpolation(self.time, series.x, breaks) if series.timed else np.eye(series.n)
             weights[rows, self.places[series.name]] = part
         return weights
 
@@ -162,7 +160,7 @@ class Follower:
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
         scales = tuple(weights @ scale for scale in self.setting.scales)
-        before = Setting.before(test, loss, len(clocks))
+        before = Setting.before(test, loss)
         return replace(before, clocks=tuple(clocks), scales=scales)
 
     def update(self, test: Experiment) -> Specimen:
@@ -238,7 +236,7 @@ def _emulated(readings: Readings, x: FloatArray) -> tuple[Emulator, Setting]:
     """Return the emulator and the setting of the one test of ``readings``, at draws (s, m)."""
     problem, (plan,) = readings.problem, readings.problem.experiments
     bodies, count = len(problem.settings.process), min(_HISTORIES * x.shape[1], _MOST_HISTORIES)
-    settings = [Setting.before(plan, bodies=bodies)]
+    settings = [Setting.before(plan)]
     if needs_middle(problem):
         middle, shares = np.median(x, axis=0)[None], np.full(bodies, _TYPICAL_SHARE)
         settings = settings_at(readings, settings, middle, shares)

@@ -11,7 +11,7 @@ from scipy.stats import t as student_t
 from ringwear_par.identification.definition.problem import Prior, Scatter
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import Setting
-from ringwear_par.identification.posterior import Layout, Posterior
+from ringwear_par.identification.posterior import Posterior
 
 RNG = np.random.default_rng(3)
 BATCHES = np.array([0, 0, 1, 1, 1])
@@ -27,11 +27,11 @@ def problem_of(sizes, *more, **settings):
     return problem([scattering, *more], tests, **settings)
 
 
-def theta_of(layout, count=6):
+def theta_of(prior, count=6):
     """Return theta (count, d) within the bounds, specimens near each other or not."""
-    theta = 0.3 * RNG.standard_normal((count, layout.dimension))
-    for place, _ in layout.sizes:
-        theta[:, place] = np.log(RNG.uniform(0.05, 0.6, count))
+    theta = 0.3 * RNG.standard_normal((count, prior.dimension))
+    for size in prior.sizes:
+        theta[:, size.place] = np.log(RNG.uniform(0.05, 0.6, count))
     return theta
 
 
@@ -46,16 +46,16 @@ def same_but_for_a_constant(found, expected, most=1e-6):
 
 
 def test_the_material_is_integrated_out():
-    layout = Layout(problem_of({"specimen": None}))
-    theta, expected = theta_of(layout), []
+    prior = Posterior(problem_of({"specimen": None}))
+    theta, expected = theta_of(prior), []
     for one in theta:
         tau, x = np.exp(one[0]), one[1:]
         weight, _ = quad(lambda b, x=x, t=tau: np.exp(norm.logpdf(x, b, t).sum()), LOW, HIGH,
                          epsabs=0.0, limit=200, points=[x.mean()])  # fmt: skip
         expected.append(np.log(weight) + half_t(one[0], 0.4))
-    same_but_for_a_constant(layout.log_prior(theta), expected)
+    same_but_for_a_constant(prior.log_prior(theta), expected)
     # and is drawn again
-    many = layout.material(np.tile(theta[0], (20_000, 1)), np.random.default_rng(0))[:, 0]
+    many = prior.material(np.tile(theta[0], (20_000, 1)), np.random.default_rng(0))[:, 0]
     mean, sd = theta[0, 1:].mean(), np.exp(theta[0, 0]) / np.sqrt(5)
     known = truncnorm((LOW - mean) / sd, (HIGH - mean) / sd, mean, sd)
     assert many.mean() == pytest.approx(known.mean(), abs=0.03 * sd)
@@ -63,8 +63,8 @@ def test_the_material_is_integrated_out():
 
 
 def test_specimens_of_a_batch_share_a_deviation():
-    layout = Layout(problem_of({"specimen": None, "batch": 0.25}))
-    theta, expected = theta_of(layout), []
+    prior = Posterior(problem_of({"specimen": None, "batch": 0.25}))
+    theta, expected = theta_of(prior), []
     same = np.equal.outer(BATCHES, BATCHES)
     for one in theta:
         matrix, x = np.exp(2.0 * one[0]) * np.eye(5) + 0.25**2 * same, one[1:]
@@ -74,28 +74,28 @@ def test_specimens_of_a_batch_share_a_deviation():
             epsabs=0.0, limit=200, points=[np.clip(centre, LOW + 0.01, HIGH - 0.01)],
         )  # fmt: skip
         expected.append(np.log(weight) + half_t(one[0], 0.4))
-    same_but_for_a_constant(layout.log_prior(theta), expected, 1e-5)
-    (scattering,) = layout.scatterings
+    same_but_for_a_constant(prior.log_prior(theta), expected, 1e-5)
+    (scattering,) = prior.scatterings
     assert scattering.spread(theta) == pytest.approx(np.hypot(np.exp(theta[:, 0]), 0.25))
 
 
 def test_what_is_outside_is_impossible():
     more = parameter(1, (0.5, 8.0), log=True, prior=Prior(2.0, 0.3))
     process = {"wear.lower": ProcessNoise(scale=0.05), "wear.upper": ProcessNoise(share=0.02)}
-    layout = Layout(problem_of({"specimen": 0.3}, more, process=process))
-    assert (layout.dimension, layout.share_places) == (7, [1, None])
-    theta = theta_of(layout)
+    prior = Posterior(problem_of({"specimen": 0.3}, more, process=process))
+    assert (prior.dimension, [s.place for s in prior.wear_shares]) == (7, [1, None])
+    theta = theta_of(prior)
     theta[:, 0] = np.log(RNG.uniform(0.6, 4.0, 6))
     expected = norm.logpdf(np.exp(theta[:, 0]), 2.0, 0.3) + theta[:, 0] + half_t(theta[:, 1], 0.05)
     specimens = [norm.logpdf(x, x.mean(), 0.3).sum() for x in theta[:, 2:]]
-    same_but_for_a_constant(layout.log_prior(theta), expected + specimens, 1e-3)
+    same_but_for_a_constant(prior.log_prior(theta), expected + specimens, 1e-3)
     for place, value in ((0, np.log(8.1)), (0, np.log(0.4)), (1, np.log(1.1)), (1, np.log(9e-4))):
         moved = theta[:1].copy()
         moved[0, place] = value
-        assert layout.log_prior(moved) == -np.inf
-    np.testing.assert_array_equal(layout.shares(theta, np.array([np.nan, 0.02]))[:, 1], 0.02)
-    anywhere = layout.anywhere(2000, RNG)
-    assert np.isfinite(layout.log_prior(anywhere)).all()
+        assert prior.log_prior(moved) == -np.inf
+    np.testing.assert_array_equal(prior.shares(theta)[:, 1], 0.02)
+    anywhere = prior.anywhere(2000, RNG)
+    assert np.isfinite(prior.log_prior(anywhere)).all()
 
 
 def test_tests_of_a_specimen_share_its_value_and_of_an_emulator_its_coordinates():
@@ -109,7 +109,7 @@ def test_tests_of_a_specimen_share_its_value_and_of_an_emulator_its_coordinates(
     setting = Setting(READ.sd, np.zeros(2))
     likelihoods = [EmulatedLikelihood(TestLikelihood(test, setting, np.zeros(0)), emulated)
                    for test in tests]  # fmt: skip
-    posterior = Posterior(of, likelihoods, np.zeros(0))
+    posterior = Posterior(of, likelihoods)
     theta = np.array([[0.5, -0.3, 0.4], [0.1, 0.2, 0.3], [2.5, 0.0, 0.0]])
     np.testing.assert_array_equal(
         posterior.of_tests(theta)[0], [[-0.3, 0.5], [0.4, 0.5], [-0.3, 0.5]]

@@ -14,7 +14,8 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.noise import coloured, log_volumes, whitened
-from ringwear_par.identification.readings import TimeInterpolation, growth, nuisance_columns
+from ringwear_par.identification.nuisances import growth, nuisance_columns
+from ringwear_par.identification.readings import interpolation
 
 
 def readings_of(problem, *values, **how):
@@ -33,7 +34,7 @@ def test_readings_between_steps_do_not_round_a_kink():
         return np.where(t <= 40.0, 1 - np.exp(-t / 5), 3 - np.exp(-8.0) - np.exp(-(t - 40) / 5))
 
     at = np.setdiff1d(np.linspace(0.1, 100.0, 400), [40.0005])
-    read = TimeInterpolation(time, at, breaks)(exact(time)[:, None])[:, 0]
+    read = interpolation(time, at, breaks) @ exact(time)
     assert np.abs(read - exact(at)).max() < 1e-4
 
 
@@ -54,11 +55,11 @@ def test_nuisances():
     case = rw.read_case("scripts/cases/paper.toml", {"load.force": load, "time.steps": 10})
     kinds = tuple(Nuisance(kind) for kind in ("offset", "drift", "compliance"))
     record = replace(series(np.zeros(5)), x=np.arange(1.0, 6.0), factor=1e-3, nuisances=kinds)
-    columns = nuisance_columns(record, case)
+    columns = nuisance_columns(record, case, 0.0)
     expected = [np.ones(5), record.x / 10.0, 1e-3 * np.array([0, 0, 20, 40, 40])]
     assert pytest.approx(1e-3 * np.array(expected)) == columns.T
     tilted = replace(record, quantity="profile.lower", nuisances=(Nuisance("tilt"),))
-    assert nuisance_columns(tilted, case)[:, 0] == pytest.approx(1e-3 * (record.x - 30.0))
+    assert nuisance_columns(tilted, case, 0.0)[:, 0] == pytest.approx(1e-3 * (record.x - 30.0))
 
 
 def test_growth_with_friction_power_is_a_sum_over_steps():

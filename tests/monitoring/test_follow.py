@@ -253,7 +253,7 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     path = running(folder, more=[limit, face])
     problem, (test,) = problem_of(path), problem_of(path).experiments
     x = np.log(TRUE_K) + np.linspace(-0.1, 0.1, 201)
-    likelihood = TestLikelihood(test, Setting.before(test, "gaussian", 0), np.zeros(0))
+    likelihood = TestLikelihood(test, Setting.before(test), np.zeros(0))
     with StopSignals() as signals:
         (y,) = Readings(problem, MPI.COMM_SELF, signals)([(0, x[:, None])])
     exact = quantiles_of(x, likelihood(y) - 0.5 * (x - np.log(MATERIAL)) ** 2 / (0.1**2 + TAU**2))

@@ -215,8 +215,8 @@ class Series:
 
     @property
     def linear_nuisances(self) -> "tuple[Nuisance, ...]":
-        """Its nuisances but for thermal growth."""
-        return tuple(n for n in self.nuisances if n.kind not in ("thermal", GROWTH_TIME))
+        """Its nuisances but for the time of thermal growth."""
+        return tuple(nuisance for nuisance in self.nuisances if nuisance.kind != GROWTH_TIME)
 
     @property
     def growth_time(self) -> "Nuisance | None":
@@ -231,7 +231,7 @@ class Series:
     @property
     def timed(self) -> bool:
         """Whether it is read at times; a profile and the end of a layer are of all the history."""
-        return READING_KINDS[self.kind].values is not None
+        return READING_KINDS[self.kind].variable is not None
 
     @property
     def body(self) -> Literal["lower", "upper"]:

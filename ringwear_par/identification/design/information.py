@@ -29,7 +29,7 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, prior_sd
-from ringwear_par.identification.noise import STUDENT, Growth, Noise, Setting
+from ringwear_par.identification.noise import STUDENT, Noise, Setting
 from ringwear_par.identification.sampling import standardised
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.results.key_numbers import time_words
@@ -205,13 +205,11 @@ def informations(readings: Readings, before: Before) -> FloatArray:
         sd, every = np.concatenate([series.sd for series in test.series]), range(len(test.series))
         setting = replace(Setting.before(test), clocks=tuple(of_test), sd=sd / np.sqrt(worse))
         noise = Noise(test, every, setting, shares)
-        rows = noise(slope[noise.rows].reshape(len(noise.rows), -1))
-        grown = Growth(test, every, noise)
-        times = [time.expected for i in grown.series if (time := test.series[i].growth_time)]
-        node = int(np.abs(np.log(grown.times / times)).sum(axis=1).argmin())
-        taken = grown.directions(rows, np.zeros(rows.shape[1]))[node]
-        rows, taken = (columns.reshape(-1, d, m) for columns in (rows, taken))
-        alone = np.einsum("ndi,ndj->dij", rows, rows) - np.einsum("gdi,gdj->dij", taken, taken)
+        rows = slope[noise.rows].reshape(len(noise.rows), -1)
+        times = [time.expected for one in test.series if (time := one.growth_time)] or [1.0]
+        distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
+        gram = noise.grams(rows, np.zeros(rows.shape[1]), int(distance.argmin()))
+        alone = np.einsum("didj->dij", gram.reshape(d, m, d, m))
         scatter = before.scatter  # of the specimen's own values about the material's
         information[number] = np.linalg.solve(np.eye(m) + alone * scatter, alone)
     return information

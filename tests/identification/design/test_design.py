@@ -16,7 +16,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.design.design import run_design
 from ringwear_par.identification.design.information import candidates
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.readings import growth, nuisance_columns
+from ringwear_par.identification.nuisances import nuisance_columns
 
 K, P0 = TRUTH
 VARY = {"load.pressure": [40.0, 96.0]}
@@ -109,11 +109,8 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
     for matrix, test, columns in zip(each, tests, slopes, strict=True):
         start = 0
         for series in test.series:
-            added = nuisance_columns(series, test.case)
+            added = nuisance_columns(series, test.case, 25.0)
             sds = [1e3 if n.prior is None else n.prior.sd for n in series.linear_nuisances]
-            if series.growth_time:
-                grown = growth(series.growth_time, test.case, series.x, 25.0)
-                added, sds = np.column_stack([added, grown]), [*sds, 1e3]
             covariance = np.diag(series.sd**2) + (added * np.square(sds)) @ added.T
             part = columns[start : (start := start + series.n)]
             matrix += part.T @ np.linalg.solve(covariance, part)
