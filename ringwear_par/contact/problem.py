@@ -15,6 +15,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.wear.step import Elements
 
 
 class Contact(NamedTuple):
@@ -28,24 +29,18 @@ class Contact(NamedTuple):
     iterations: IntArray
 
 
-@dataclass(frozen=True)
-class Line:
+@dataclass(frozen=True, kw_only=True)
+class Line(Elements):
     """The contact elements of a block, and what pairs of bodies give way there."""
 
     #: the pairs, f of them, on the same elements
     pairs: tuple[ContactPair, ...]
-    #: (n,) mm and mm^2
-    r: FloatArray
-    area: FloatArray
-    #: (n,) 1 / cos alpha of sloping faces, None where all are flat
-    obliquity: FloatArray | None
     #: (f, 2, n, n) mm/MPa of lower and upper at Young's modulus 1, as collocation gives them
     units: FloatArray
     #: the matrix that was asked for last, by pair and softness
     _matrix: dict[tuple[float, ...], FloatArray] = field(
         default_factory=dict, compare=False, repr=False
     )
-    shared = True
 
     @classmethod
     def of(cls, pairs: Sequence[ContactPair]) -> "Line":
@@ -53,22 +48,17 @@ class Line:
         first, units = pairs[0], np.array([pair.normal for pair in pairs])
         secant = np.hypot(1.0, first.slope)
         return cls(
-            tuple(pairs),
-            first.line.r,
-            first.line.area.copy(),  # C code takes none that is read-only
-            secant if (secant > 1.0).any() else None,
-            units,
+            pairs=tuple(pairs),
+            r=first.line.r,
+            area=first.line.area.copy(),  # C code takes none that is read-only
+            obliquity=secant if (secant > 1.0).any() else None,
+            units=units,
         )
 
     @cached_property
     def columns(self) -> FloatArray:
         """(f, 2, n, n) mm/MPa, the transposes of ``units``, as loops in C run through them."""
         return np.ascontiguousarray(self.units.swapaxes(2, 3))
-
-    @cached_property
-    def true_area(self) -> FloatArray:
-        """(n,) mm^2, along sloping faces: friction and wear act on it."""
-        return self.area if self.obliquity is None else self.area * self.obliquity
 
     def matrix(self, pair: int, softness: FloatArray) -> FloatArray:
         """Return the compliance of a pair, (n, n) mm/MPa."""

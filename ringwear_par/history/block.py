@@ -12,7 +12,7 @@ from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.schedules import Schedules, Table, padded, value
-from ringwear_par.wear.step import Places, StepWear, Wearing, averaging
+from ringwear_par.wear.step import StepWear, Wearing
 from ringwear_par.wear.user import user
 
 
@@ -43,9 +43,8 @@ class Block:
     #: rad/s, and coefficient
     omega: Schedules
     friction: Schedules
-    #: w bodies that wear, on these elements
+    #: w bodies that wear
     wearing: tuple[Wearing, ...]
-    places: Places
     #: (B,) mm of wear, to which steps are held
     tolerance: FloatArray
     #: (B, m) s, times at which steps end, the last of them repeated, and which states are stored
@@ -102,7 +101,6 @@ class Block:
             omega=Schedules.of([c.load.omega for c in cases]),
             friction=Schedules.of([c.friction for c in cases]),
             wearing=tuple(_wearing(whole, body, line) for body in bodies),
-            places=places(case, line),
             tolerance=np.array([c.time.tolerance for c in cases]),
             limits=limits,
             stored=_stored(cases, limits),
@@ -125,7 +123,7 @@ class Block:
     @cached_property
     def is_local(self) -> bool:
         """Whether the wear of each element depends on its own pressure alone."""
-        return all(average is None for average in self.places.averages)
+        return not any(body.length for body in self.wearing)
 
     def worn_gap(self, wear: FloatArray) -> FloatArray:
         """Return the gaps (B, n) mm of undeformed profiles worn by (w, B, n) mm."""
@@ -158,7 +156,7 @@ class Block:
         r, (omega, friction) = self.line.r, sliding
         speed, slid = omega[:, None] * r, self.omega.integral(time)[:, None] * r
         return StepWear(
-            self.wearing, self.places, layer, time[:, None], friction[:, None],
+            self.wearing, self.line, layer, time[:, None], friction[:, None],
             self.number[:, None], speed, slid, wear, step[:, None], self.pace, np.zeros_like(wear),
         )  # fmt: skip
 
@@ -231,16 +229,6 @@ def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> Fl
     return np.array(wide).swapaxes(0, 1)[list(bodies)]
 
 
-def places(case: Case, line: Line) -> Places:
-    """Return the elements of a line as the laws of a case need them."""
-    averages = tuple(
-        averaging(line.r, line.true_area, laws[-1].length) if laws[-1].length else None
-        for laws in case.laws
-        if laws
-    )
-    return Places(line.r, line.obliquity, averages)
-
-
 def _wearing(cases: Cases, body: int, line: Line) -> Wearing:
     """Return the laws of a body of all cases, layer by layer."""
     columns = [*zip(*(case.laws[body] for case in cases.every), strict=True)]
@@ -267,6 +255,7 @@ def _wearing(cases: Cases, body: int, line: Line) -> Wearing:
         tuple(law.remembers for law in first),
         np.array(ends).swapaxes(0, 1).copy(),
         np.array([[law.ratio(case.friction) for law in case.laws[body]] for case in cases.every]),
+        first[-1].length,
     )
 
 

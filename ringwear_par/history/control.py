@@ -1,8 +1,11 @@
 """How far steps go, and whether they are good."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.batched import choose
 from ringwear_par.history.block import Block
 from ringwear_par.history.state import State, Step
 
@@ -18,19 +21,19 @@ _ENERGY = 1e-4
 _SHORTEST, _SHORTEST_PART = 1e-12, 1e-3
 
 
-def step_share(block: Block) -> float:
+def _share(block: Block) -> float:
     """Return the share of the tolerance that the error of each step may be."""
     return STEP_SHARE * (_LAYERED if block.layered else 1.0)
 
 
-def first_length(block: Block, state: State, share: float | None) -> FloatArray:
-    """Return the lengths of the first tries, (B,) s; without a share they go to the first limit."""
+def first_length(block: Block, state: State) -> FloatArray:
+    """Return the lengths of the first tries, (B,) s; those of given steps go to the first limit."""
     whole = block.limits[:, -1]
-    if share is None:
+    if block.given_steps:
         return whole
     with np.errstate(divide="ignore"):
         fastest = state.rates.max(axis=(0, 2), initial=0.0)
-        return np.minimum(_FIRST_WEAR * share * block.tolerance / fastest, whole)
+        return np.minimum(_FIRST_WEAR * _share(block) * block.tolerance / fastest, whole)
 
 
 def next_ends(
@@ -53,44 +56,37 @@ def next_ends(
 
 
 def judge(
-    block: Block,
-    before: State,
-    step: Step,
-    share: float | None,
-    is_cut: BoolArray,
-    going: BoolArray,
-    order: int,
-) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Return which steps are accepted, which histories are stuck, and the lengths of next tries.
-
-    (B,) each.
-
-    Parameters
-    ----------
-    share : of the tolerance that errors may be; None: all steps will do.
-    order : power of the length with which errors of steps grow.
-    """
-    error, h = step_error(block, step, share), step.state.time - before.time
+    block: Block, before: State, step: Step, is_cut: BoolArray, going: BoolArray
+) -> tuple[BoolArray, BoolArray, State]:
+    """Return which steps are accepted, which histories are stuck, (B,), and their states now."""
+    error, h, whole = _error(block, step), step.state.time - before.time, block.limits[:, -1]
     good = (error <= 1.0) & ~step.failed
     accepted = good & ~step.too_far & going
-    change = np.clip(_SAFETY * np.maximum(error, 1e-6) ** (-1.0 / order), _MOST_CUT, _MOST_GROWTH)
+    change = np.clip(_SAFETY * np.maximum(error, 1e-6) ** (-1.0 / 3.0), _MOST_CUT, _MOST_GROWTH)
     change[step.failed | ~np.isfinite(error)] = _AFTER_FAILURE
-    if share is None:
-        length = np.where(good, block.limits[:, -1], _AFTER_FAILURE * h)
+    if block.given_steps:
+        length = np.where(good, whole, _AFTER_FAILURE * h)
     else:
         length = np.where(is_cut & good, np.maximum(h * change, before.length), h * change)
-    next_one = np.where(step.too_far, step.interface - before.time, length)
+    next_one = np.where(step.too_far, step.state.interface - before.time, length)
     # parts of given steps whose contacts are not solved need not become as short
-    failing = step.failed & (share is None)
+    failing = step.failed & block.given_steps
     shortest = np.where(failing, _SHORTEST_PART / block.limits.shape[1], _SHORTEST)
-    stuck = going & ~accepted & ~(next_one > shortest * block.limits[:, -1])  # or NaN
-    return accepted, stuck, np.where(going, length, before.length)
+    stuck = going & ~accepted & ~(next_one > shortest * whole)  # or NaN
+    after = replace(step.state, error=np.maximum(before.error, error * block.tolerance))
+    state = replace(
+        after if accepted.all() else choose(accepted, after, before),
+        iterations=after.iterations,  # those of rejected tries count, too
+        length=np.where(going, length, before.length),
+        interface=np.where(going, step.state.interface, np.inf),
+    )
+    return accepted, stuck, state
 
 
-def step_error(block: Block, step: Step, share: float | None) -> FloatArray:
-    """Return the errors of steps over those that are allowed, (B,)."""
-    if share is None:
+def _error(block: Block, step: Step) -> FloatArray:
+    """Return the errors of steps over those that are allowed, (B,); 0 of given steps."""
+    if block.given_steps:
         return np.where(np.isfinite(step.state.approach), 0.0, np.inf)
     left = np.maximum(block.limits[:, -1] - step.state.time, 0.0)
     energy = step.energy_error / (_ENERGY * (step.state.energy + step.power * left) + 1e-300)
-    return np.maximum(step.error.max(axis=1) / (share * block.tolerance), energy)
+    return np.maximum(step.error.max(axis=1) / (_share(block) * block.tolerance), energy)

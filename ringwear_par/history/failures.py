@@ -24,7 +24,7 @@ def contact_failure(block: Block, row: int, comm: MPI.Comm) -> ComputationError:
 
 
 def step_failure(
-    block: Block, state: State, step: Step, row: int, share: float | None, comm: MPI.Comm
+    block: Block, state: State, step: Step, row: int, comm: MPI.Comm
 ) -> ComputationError:
     """Return why no step of a history is short enough. Collective on comm."""
     case = block.cases.every[int(block.number[row])]

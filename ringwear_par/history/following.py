@@ -11,9 +11,9 @@ from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.block import Block, places
+from ringwear_par.history.block import Block
 from ringwear_par.history.elastic import updated_geometry
-from ringwear_par.history.schemes import rates_at
+from ringwear_par.history.schemes import settled
 from ringwear_par.history.state import State
 
 
@@ -29,46 +29,37 @@ class Following:
         #: how often elements were assembled anew, and seconds of it as in ``ContactPair``
         self.updates, self.seconds = 0, np.zeros(2)
 
-    def follow(
-        self, block: Block, solver: TaoContact, state: State
-    ) -> tuple[Block, TaoContact, State]:
-        """Return block, solver and state of elements that have followed the wear of a state.
+    def follow(self, block: Block, solver: TaoContact, state: State) -> tuple[Block, State]:
+        """Return the block of elements that have followed the wear of a state, and this state.
 
-        Only if the wear since then is more than ``mesh.geometry_tolerance``. It depends on the
-        state alone, so that a restarted history does the same.
+        Elements move if the wear since then is more than ``mesh.geometry_tolerance``. It depends on
+        the state alone, so that a restarted history does the same. Tries of steps wear about this
+        tolerance at most.
 
         Raises
         ------
         ComputationError : the worn bodies cannot be computed.
         """
-        if state.meshed is None or state.offset is None:
-            state = replace(
-                state, meshed=np.zeros_like(state.wear), offset=np.zeros_like(block.gap)
-            )
-        assert state.meshed is not None
-        assert state.offset is not None
-        block = self._meshed_on(block, state.meshed, state.offset)
-        if np.abs(state.wear - state.meshed).max(initial=0.0) <= self._tolerance:
-            return block, solver.with_compliance(block.compliance), state
-        before, slope = block.compliance.matrix(0), self.pair.slope
-        block, self.updates = self._meshed_on(block, state.wear, state.offset), self.updates + 1
-        # where a slope has turned, the displacement along the axis under the present pressure
-        # jumps, though nothing has moved: the offset takes this jump out of the gap
-        jump = state.pressure @ (block.compliance.matrix(0) - before).T
-        turned = np.where(self.pair.slope != slope, jump, 0.0)
-        block, offset = replace(block, gap=block.gap - turned), state.offset + turned
-        # the rates at the start of the next step are to be those of the new elasticity
-        solver = solver.with_compliance(block.compliance)
-        p, d, failed, _ = solver.solve(
-            block.worn_gap(state.wear), block.load.at(state.time), None, state.pressure,
-            state.approach,
-        )  # fmt: skip
-        if failed.any():
-            raise ComputationError("contact: is not solved with the worn geometry")
-        rates = rates_at(block, state.layer, state.time, state.wear, p)
-        return block, solver, replace(
-            state, meshed=state.wear, offset=offset, pressure=p, approach=d, rates=rates
-        )  # fmt: skip
+        meshed = np.zeros_like(state.wear) if state.meshed is None else state.meshed
+        offset = np.zeros_like(block.gap) if state.offset is None else state.offset
+        block = self._meshed_on(block, meshed, offset)
+        if np.abs(state.wear - meshed).max(initial=0.0) > self._tolerance:
+            before, slope = block.compliance.matrix(0), self.pair.slope
+            block, meshed = self._meshed_on(block, state.wear, offset), state.wear
+            self.updates += 1
+            # where a slope has turned, the displacement along the axis under the present pressure
+            # jumps, though nothing has moved: the offset takes this jump out of the gap
+            jump = state.pressure @ (block.compliance.matrix(0) - before).T
+            turned = np.where(self.pair.slope != slope, jump, 0.0)
+            block, offset = replace(block, gap=block.gap - turned), offset + turned
+            # the rates at the start of the next step are to be those of the new elasticity
+            state, failed = settled(block, solver.with_compliance(block.compliance), state)
+            if failed.any():
+                raise ComputationError("contact: is not solved with the worn geometry")
+        with np.errstate(divide="ignore"):
+            most = self._tolerance / state.rates.max(axis=(0, 2), initial=0.0)
+        length = state.length if block.given_steps else np.minimum(state.length, most)
+        return block, replace(state, meshed=meshed, offset=offset, length=length)
 
     def _meshed_on(self, block: Block, wear: FloatArray, offset: FloatArray) -> Block:
         """Return the block of elements on profiles that are worn, (w, 1, n) mm."""
@@ -90,7 +81,6 @@ class Following:
             line=line,
             compliance=compliance,
             gap=case.initial_gap[None] - offset,
-            places=places(case, line),
         )
 
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.batched import choose
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.history.block import Block
-from ringwear_par.history.schemes import Solver, rates_at
+from ringwear_par.history.schemes import rates_at
 from ringwear_par.history.state import State, Step
 
 #: share of the tolerance by which steps aim to change depths where elements cross
@@ -51,15 +50,6 @@ def layer_left(ends: FloatArray, wear: FloatArray) -> FloatArray:
     """Return the thickness left of all layers of a body, (B, n) mm, see ``layer_volumes``."""
     last = ends[-2]
     return np.where(wear >= (1.0 - _ROUND_OFF) * last, 0.0, last - wear)
-
-
-def settled(block: Block, solver: Solver, state: State, entered: BoolArray) -> State:
-    """Return states whose contact is that of the profiles which entering layers has left."""
-    gap, load = block.worn_gap(state.wear), block.load.at(state.time)
-    p, d, failed, _ = solver.solve(gap, load, None, state.pressure, state.approach)
-    rates = rates_at(block, state.layer, state.time, state.wear, p)
-    new = replace(state, pressure=p, approach=d, rates=rates)
-    return choose(entered & ~failed, new, state)
 
 
 def enter_layers(block: Block, before: State, step: Step) -> Step:
@@ -106,8 +96,8 @@ def enter_layers(block: Block, before: State, step: Step) -> Step:
             rates=rates,
             layer=layer,
             through=gone,
+            interface=np.where(too_far, reached, soon),
         ),
         error=step.error * growth,
         too_far=too_far,
-        interface=np.where(too_far, reached, soon),
     )

@@ -20,7 +20,7 @@ from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.block import Block
-from ringwear_par.history.control import first_length, judge, next_ends, step_error, step_share
+from ringwear_par.history.control import first_length, judge, next_ends
 from ringwear_par.history.elastic import assemble
 from ringwear_par.history.failures import (
     contact_failure,
@@ -29,8 +29,8 @@ from ringwear_par.history.failures import (
     step_failure,
 )
 from ringwear_par.history.following import Following
-from ringwear_par.history.layers import enter_layers, settled
-from ringwear_par.history.schemes import BY_NAME, Solver, start
+from ringwear_par.history.layers import enter_layers
+from ringwear_par.history.schemes import BY_NAME, Solver, settled, start
 from ringwear_par.history.state import State
 from ringwear_par.options import contact_solver
 from ringwear_par.parallel import as_on_first_rank, on_any_rank
@@ -84,7 +84,7 @@ def simulate(
     block: Block,
     save: Save,
     *,
-    solver: Solver | None = None,
+    tao: bool = False,
     first: State | None = None,
     following: Following | None = None,
     every: bool = False,
@@ -97,83 +97,92 @@ def simulate(
     Parameters
     ----------
     save : is called with the states that are stored; with ``every`` after each step.
-    solver : of the contacts; None: a ``BlockSolver``, where it serves.
+    tao : solve contacts by TAO, not by a ``BlockSolver`` where that serves.
     first : where an interrupted history continues; None: they start.
     following : elements that follow the wear, of a block of one.
     """
-    if solver is None and not (block.is_local and following is None):
-        with TaoContact(block.compliance, block.by_force) as tao:
-            return simulate(
-                block, save, solver=tao, first=first, following=following, every=every, comm=comm
-            )
-    case = block.cases.every[0]
-    scheme = BY_NAME[case.time.scheme]
-    share = step_share(block) if not block.given_steps else None
-    solver = solver or BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
+    if block.is_local and following is None and not tao:
+        return _advance(block, save, None, first, None, every, comm)
+    # rows of small systems are not worth messages
+    own = comm if len(block.line.r) >= SHARED else MPI.COMM_SELF
+    with TaoContact(block.compliance, block.by_force, own) as solver:
+        return _advance(block, save, solver, first, following, every, comm)
+
+
+def _solver(block: Block, tao: TaoContact | None) -> Solver:
+    if tao is not None:
+        return tao.with_compliance(block.compliance)
+    return BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
+
+
+def _advance(
+    block: Block,
+    save: Save,
+    tao: TaoContact | None,
+    first: State | None,
+    following: Following | None,
+    every: bool,
+    comm: MPI.Comm,
+) -> dict[int, Exception]:
+    """Advance histories as ``simulate`` does, by a solver of TAO's or of blocks."""
+    scheme = BY_NAME[block.cases.every[0].time.scheme]
     failures: dict[int, Exception] = {}
-    if first is None:
-        state, lost = start(block, solver)
-        lost = on_any_rank(comm, lost)  # a law may fail on one rank alone
-        state = replace(state, length=first_length(block, state, share))
-        failures |= interpenetration(block, solver)
-        failures |= {i: contact_failure(block, i, comm) for i in np.flatnonzero(lost).tolist()}
-        going = np.array([i not in failures for i in range(len(block))])
+    state, going = first, np.ones(len(block), bool)
+    if state is None:
+        state, failures = _start(block, _solver(block, tao), comm)
+        going[list(failures)] = False
         if going.any() and save(_instant(block, state, going, going, ~going, following)):
             return failures
-    else:
-        state, going = first, np.ones(len(block), bool)
     limit = (block.limits <= state.time[:, None]).sum(axis=1)
     going &= limit < block.limits.shape[1]
     limit = np.minimum(limit, block.limits.shape[1] - 1)
-    order = 3 if case.time.adaptive else 2
     while going.any():
         if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
-            rows = np.flatnonzero(going)
-            block, solver, state, limit, going = take((block, solver, state, limit, going), rows)
-            if isinstance(solver, TaoContact):  # no dataclass, which ``take`` would cut
-                solver = solver.with_compliance(block.compliance)
-        if following is not None:
-            assert isinstance(solver, TaoContact)
-            block, solver, state = following.follow(block, solver, state)
-            if share is not None:
-                state = replace(state, length=_meshed_length(block, state))
-        end, is_cut = as_on_first_rank(comm, next_ends(block, state, limit, going))
+            block, state, limit, going = take((block, state, limit, going), np.flatnonzero(going))
+        if following is not None and tao is not None:
+            block, state = following.follow(block, tao, state)
+        rows, solver = np.arange(len(block)), _solver(block, tao)
         if block.paces is not None:
-            block = replace(block, pace=block.paces[:, np.arange(len(block)), limit, None])
+            block = replace(block, pace=block.paces[:, rows, limit, None])
+        end, is_cut = next_ends(block, state, limit, going)
         step = scheme(block, solver, state, end)
         if block.layered:
             step = enter_layers(block, state, step)
+        step, before = replace(step, failed=on_any_rank(comm, step.failed)), state
         # ranks may differ by round-off, or by their processor: all go on with the first one's
-        step = as_on_first_rank(comm, replace(step, failed=on_any_rank(comm, step.failed)))
-        accepted, stuck, length = judge(block, state, step, share, is_cut, going, order)
-        before = state
-        state = _after(block, state, step.state, accepted, step_error(block, step, share))
+        accepted, stuck, state = as_on_first_rank(comm, judge(block, state, step, is_cut, going))
         if block.layered and (entered := state.layer != before.layer).any():
-            state = settled(block, solver, state, entered.any(axis=(0, 2)))
-        state = replace(state, length=length, interface=np.where(going, step.interface, np.inf))
+            new, failed = settled(block, solver, state)
+            state = choose(entered.any(axis=(0, 2)) & ~failed, new, state)
         off = accepted & _is_off(block, state)
-        for row in np.flatnonzero(stuck & going).tolist():
-            failures[int(block.number[row])] = step_failure(block, state, step, row, share, comm)
+        for row in np.flatnonzero(stuck).tolist():
+            failures[int(block.number[row])] = step_failure(block, state, step, row, comm)
         for row in np.flatnonzero(off).tolist():
             failures[int(block.number[row])] = deep_wear_failure(block, state, row)
-        passed = accepted & (state.time >= block.limits[np.arange(len(block)), limit])
-        done = accepted if share is not None else passed
+        passed = accepted & (state.time >= block.limits[rows, limit])
+        done = passed if block.given_steps else accepted
         state = replace(state, steps=state.steps + done)
         ended = accepted & (state.time >= block.limits[:, -1])
         for name, most in block.stop.items():
             ended |= done & (STOP[name](block, state) >= most)
-        ended &= ~off
-        stored = ended | (passed & block.stored[np.arange(len(block)), limit])
-        by_steps = block.every > 0
-        if by_steps.any():
-            stored |= done & by_steps & (state.steps % np.maximum(block.every, 1) == 0)
-        stored &= ~off
+        stored = ended | (passed & block.stored[rows, limit]) | (done & _is_due(block, state))
+        ended, stored, done = ended & ~off, stored & ~off, done & ~off
         going = going & ~(ended | stuck | off)
-        new = (done if every else stored) & ~off
-        if new.any() and save(_instant(block, state, new, stored, ended, following)):
+        shown = done if every else stored
+        if shown.any() and save(_instant(block, state, shown, stored, ended, following)):
             break
         limit = limit + (passed & going)
     return failures
+
+
+def _start(block: Block, solver: Solver, comm: MPI.Comm) -> tuple[State, dict[int, Exception]]:
+    """Return the states before any wear, and why some histories have none, by number."""
+    state, lost = start(block, solver)
+    lost = on_any_rank(comm, lost)  # a law may fail on one rank alone
+    state = as_on_first_rank(comm, replace(state, length=first_length(block, state)))
+    failures = interpenetration(block, solver)
+    failures |= {i: contact_failure(block, i, comm) for i in np.flatnonzero(lost).tolist()}
+    return state, failures
 
 
 def first_contact(case: Case, comm: MPI.Comm) -> Contact:
@@ -209,37 +218,12 @@ def simulate_one(
     following = Following(case, comm) if case.follows_wear else None
     if pair is None:
         pair = assemble(case, comm) if following is None else following.pair
-    block = Block.of([case], [pair])
-    if block.is_local and following is None and contact_solver() == "block":
-        failures = simulate(block, save, first=first, every=every, comm=comm)
-    else:
-        # rows of small systems are not worth messages
-        own = comm if case.line.n >= SHARED else MPI.COMM_SELF
-        with TaoContact(block.compliance, block.by_force, own) as solver:
-            failures = simulate(
-                block, save, solver=solver, first=first, following=following, every=every,
-                comm=comm,
-            )  # fmt: skip
+    failures = simulate(
+        Block.of([case], [pair]), save, tao=contact_solver() == "tao", first=first,
+        following=following, every=every, comm=comm,
+    )  # fmt: skip
     for error in failures.values():
         raise error
-
-
-def _after(
-    block: Block, before: State, after: State, accepted: BoolArray, error: FloatArray
-) -> State:
-    """Return the states after a round, in which some steps were accepted."""
-    tried = after.iterations  # those of rejected tries count, too
-    after = replace(after, error=np.maximum(before.error, error * block.tolerance))
-    state = after if accepted.all() else choose(accepted, after, before)
-    return replace(state, iterations=tried)
-
-
-def _meshed_length(block: Block, state: State) -> FloatArray:
-    """Return the lengths of tries that wear about the tolerance of the geometry at most."""
-    most = block.cases.every[0].mesh.geometry_tolerance
-    fastest = state.rates.max(axis=(0, 2), initial=0.0)
-    with np.errstate(divide="ignore"):
-        return np.minimum(state.length, most / fastest)
 
 
 def _is_off(block: Block, state: State) -> BoolArray:
@@ -248,6 +232,11 @@ def _is_off(block: Block, state: State) -> BoolArray:
     for element in block.open_ends:
         off |= state.pressure[:, element] > 0.0
     return off
+
+
+def _is_due(block: Block, state: State) -> BoolArray:
+    """Return whether as many steps are made as lie between states that cases store, (B,)."""
+    return (block.every > 0) & (state.steps % np.maximum(block.every, 1) == 0)
 
 
 def _instant(

@@ -14,7 +14,7 @@ from ringwear_par.contact.block import BlockSolver
 from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.history.block import Block, total
-from ringwear_par.history.state import State, Step, step_of
+from ringwear_par.history.state import State, Step
 
 Solver = BlockSolver | TaoContact
 Scheme = Callable[[Block, Solver, State, FloatArray], Step]
@@ -65,29 +65,26 @@ def sdirk2(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
         approach=d,
         iterations=iterations,
     )
-    return step_of(after, error, h * np.abs(_DEFECT @ powers), powers.max(axis=0), failed)
+    energy_error, none = h * np.abs(_DEFECT @ powers), np.zeros_like(failed)
+    return Step(after, error, energy_error, powers.max(axis=0), failed, none)
 
 
 def implicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     """The pressure at the end of a step wears throughout it (backward Euler)."""
-    h, sliding = end - state.time, _mean_sliding(block, state, end)
+    h, sliding, gap = end - state.time, _mean_sliding(block, state, end), block.worn_gap(state.wear)
     stage = block.step_wear(state.layer, end, sliding, state.wear, h)
-    gap = block.worn_gap(state.wear)
     contact = solver.solve(gap, block.load.at(end), stage, state.pressure, state.approach)
-    depths, p = stage.depths(contact.pressure), contact.pressure
-    rates = rates_at(block, state.layer, end, state.wear + depths, p)
-    return _first_order(block, state, end, depths, rates, p, contact, sliding)
+    wear = state.wear + stage.depths(contact.pressure)
+    return _first_order(block, state, end, wear, contact.pressure, contact)
 
 
 def explicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     """The pressure at the start of a step wears throughout it, eq. (6) of the paper."""
     h, sliding, p = end - state.time, _mean_sliding(block, state, end), state.pressure
     now = block.step_wear(state.layer, state.time, sliding, state.wear, h)
-    depths = h[:, None] * now.rates(p)
-    wear = state.wear + depths
+    wear = state.wear + h[:, None] * now.rates(p)
     contact = solver.solve(block.worn_gap(wear), block.load.at(end), None, p, state.approach)
-    rates = rates_at(block, state.layer, end, wear, contact.pressure)
-    return _first_order(block, state, end, depths, rates, p, contact, sliding)
+    return _first_order(block, state, end, wear, p, contact)
 
 
 def _mean_sliding(block: Block, state: State, end: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -98,28 +95,27 @@ def _first_order(
     block: Block,
     state: State,
     end: FloatArray,
-    depths: FloatArray,
-    rates: FloatArray,
-    wearing: FloatArray,
+    wear: FloatArray,
+    p: FloatArray,
     contact: Contact,
-    sliding: tuple[FloatArray, FloatArray],
 ) -> Step:
-    """Return a step in which one pressure, ``wearing``, wears throughout; (B, n) MPa."""
-    h, (omega, friction) = end - state.time, sliding
-    work = omega * block.moment(wearing)
+    """Return a step to a contact, in which one pressure wears throughout; p (B, n) MPa."""
+    h, (omega, friction) = end - state.time, _mean_sliding(block, state, end)
+    rates, work = rates_at(block, state.layer, end, wear, contact.pressure), omega * block.moment(p)
     after = replace(
         state,
         time=end,
         energy=state.energy + h * friction * work,
         normal_work=state.normal_work + h * work,
-        wear=state.wear + depths,
+        wear=wear,
         rates=rates,
         pressure=contact.pressure,
         approach=contact.approach,
         iterations=state.iterations + contact.iterations,
     )
     error = np.abs((rates - state.rates).sum(axis=0)) * (0.5 * h)[:, None]
-    return step_of(after, error, np.zeros_like(h), friction * work, contact.failed)
+    none = np.zeros_like(contact.failed)
+    return Step(after, error, np.zeros_like(h), friction * work, contact.failed, none)
 
 
 def rates_at(
@@ -128,6 +124,14 @@ def rates_at(
     """Return rates of wear at an instant, (w, B, n) mm/s, at the present pace."""
     ones = np.ones_like(time)
     return block.step_wear(layer, time, block.sliding(time), wear, ones).rates(p)
+
+
+def settled(block: Block, solver: Solver, state: State) -> tuple[State, BoolArray]:
+    """Return states whose contact is that of their profiles, and which have none, (B,)."""
+    gap, load = block.worn_gap(state.wear), block.load.at(state.time)
+    p, d, failed, _ = solver.solve(gap, load, None, state.pressure, state.approach)
+    rates = rates_at(block, state.layer, state.time, state.wear, p)
+    return replace(state, pressure=p, approach=d, rates=rates), failed
 
 
 #: by the name that ``time.scheme`` gives them

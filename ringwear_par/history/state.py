@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -56,20 +54,6 @@ class Step:
     power: FloatArray
     #: (B,) whether a contact was not solved
     failed: BoolArray
-    #: (B,) whether an element went too far beyond its layer, and s, when the next one is expected
-    #: at the end of its layer, or was there; infinite without layers
+    #: (B,) whether an element went too far beyond its layer: the state's ``interface`` is when one
+    #: was at its end
     too_far: BoolArray
-    interface: FloatArray
-
-
-def step_of(
-    state: State,
-    error: FloatArray,
-    energy_error: FloatArray,
-    power: FloatArray,
-    failed: BoolArray,
-) -> Step:
-    """Return a step in which no element comes to the end of its layer."""
-    count = len(failed)
-    never = np.full(count, np.inf)
-    return Step(state, error, energy_error, power, failed, np.zeros(count, bool), never)

@@ -1,6 +1,6 @@
 """What bodies lose in a step, as a function of the pressure at its end: eq. (4) of the paper."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -16,17 +16,44 @@ _MOST, _SETTLED = 30, 1e-10
 _SCALINGS = 1000
 
 
-@dataclass(frozen=True)
-class Places:
-    """The contact elements, the same of all histories."""
+@dataclass(frozen=True, kw_only=True)
+class Elements:
+    """The contact elements, the same of all histories of a block."""
 
-    #: (n,) mm
+    #: (n,) mm and mm^2
     r: FloatArray
-    #: (n,) 1 / cos alpha of sloping faces; None: flat ones
+    area: FloatArray
+    #: (n,) 1 / cos alpha of sloping faces, None where all are flat
     obliquity: FloatArray | None
-    #: (n, n) 1, what the law of each body that wears averages with; None of local laws
-    averages: tuple[FloatArray | None, ...]
+    _averages: dict[float, FloatArray] = field(default_factory=dict, compare=False, repr=False)
     shared = True
+
+    @cached_property
+    def true_area(self) -> FloatArray:
+        """(n,) mm^2, along sloping faces: friction and wear act on it."""
+        return self.area if self.obliquity is None else self.area * self.obliquity
+
+    def average(self, length: float) -> FloatArray:
+        """Return the (n, n) matrix of Gaussian averages over a length (mm), of non-local laws.
+
+        The same average is taken of the pressure and of the rate: pressure felt at a distance wears
+        at that distance, without which a step need not have a solution. Rows sum to 1 and
+        ``diag(area) A`` is symmetric, so that constants and area integrals are kept (Sinkhorn's
+        scaling).
+        """
+        if length in self._averages:
+            return self._averages[length]
+        r, area = self.r, self.true_area
+        kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
+        scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
+        for _ in range(_SCALINGS):
+            sums = scale * (kernel @ scale) / area
+            if np.abs(sums - 1.0).max() < 1e-14:
+                break
+            scale = scale / np.sqrt(sums)
+        matrix = scale[:, None] * kernel * scale / area[:, None]
+        self._averages[length] = matrix / matrix.sum(axis=1)[:, None]
+        return self._averages[length]
 
 
 @dataclass(frozen=True)
@@ -48,6 +75,8 @@ class Wearing:
     ends: FloatArray
     #: (B, layers + 1) 1/MPa, worn volume by dissipated energy, 0 where it is not always the same
     per_energy: FloatArray
+    #: mm, averaging length of a non-local law; 0 of others
+    length: float
 
 
 @dataclass
@@ -56,7 +85,7 @@ class StepWear:
 
     #: bodies that wear, w of them
     wearing: tuple[Wearing, ...]
-    places: Places
+    elements: Elements
     #: (w, B, n) layers that elements are in throughout the step
     layer: IntArray
     #: (B, 1) s, coefficient of friction and numbers, (B, n) mm/s and mm, at its end or in the mean,
@@ -76,7 +105,7 @@ class StepWear:
     @property
     def is_local(self) -> bool:
         """Whether the wear of an element depends on its own pressure alone."""
-        return all(average is None for average in self.places.averages)
+        return not any(body.length for body in self.wearing)
 
     @cached_property
     def linear(self) -> bool:
@@ -104,11 +133,11 @@ class StepWear:
     def rates(self, p: FloatArray) -> FloatArray:
         """Return rates of wear along the axis at the wear before the step, (w, B, n) mm/s."""
         rates = np.zeros((len(self.wearing), *p.shape))
-        for i, average in enumerate(self.places.averages):
-            if average is None:
-                rates[i] = self._rate(i, p, 0.0)[0].clip(0.0)
+        for i, body in enumerate(self.wearing):
+            if body.length:
+                rates[i] = self._averaged(i, p)[0]
             else:
-                rates[i] = self._averaged(i, average, p)[0]
+                rates[i] = self._rate(i, p, 0.0)[0].clip(0.0)
         return rates
 
     def of_one(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,18 +150,17 @@ class StepWear:
             line = const + slope * p
             return np.maximum(line, 0.0).sum(axis=0)[0], (slope * (line > 0.0)).sum(axis=0)[0]
         depth, slopes = np.zeros_like(p), np.zeros((len(p), len(p)))
-        for i, average in enumerate(self.places.averages):
-            matrix = np.eye(len(p)) if average is None else average
-            rate, slope = self._averaged(i, matrix, p[None])
+        for i in range(len(self.wearing)):
+            rate, slope = self._averaged(i, p[None])
             depth += self.step[0, 0] * rate[0]
             slopes += self.step[0, 0] * slope
         return depth, slopes
 
-    def _averaged(
-        self, i: int, average: FloatArray, p: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _averaged(self, i: int, p: FloatArray) -> Values:
         """Return rates (B, n) of averaged pressures, averaged alike; of one also slopes (n, n)."""
-        secant = 1.0 if self.places.obliquity is None else self.places.obliquity
+        length = self.wearing[i].length
+        average = self.elements.average(length) if length else np.eye(p.shape[1])
+        secant = 1.0 if self.elements.obliquity is None else self.elements.obliquity
         rate, slope, *_ = self._rate(i, p @ average.T, 0.0)
         rises = np.where(rate > 0.0, slope / secant, 0.0)
         rate, slopes = np.maximum(rate / secant, 0.0) @ average.T, (average * rises[0]) @ average
@@ -176,7 +204,7 @@ class StepWear:
 
     def _rate(self, i: int, p: FloatArray, depth: FloatArray | float) -> Values:
         """Return rate, slope (and d rate / d wear) along the axis, worn by a further depth."""
-        body, secant = self.wearing[i], self.places.obliquity
+        body, secant = self.wearing[i], self.elements.obliquity
         worn, values = self.wear[i] + depth, None
         for layer, law in enumerate(body.laws):
             here = self.layer[i] == layer
@@ -184,7 +212,7 @@ class StepWear:
                 continue
             lost = np.maximum(worn - body.ends[layer - 1], 0.0) if layer else worn
             at = LocalState(
-                self.time, self.places.r, self.speed, self.friction,
+                self.time, self.elements.r, self.speed, self.friction,
                 lost if secant is None else lost / secant, self.slid, number=self.number,
             )  # fmt: skip
             arguments = {
@@ -201,22 +229,3 @@ class StepWear:
         if self.pace is not None:
             values = tuple(self.pace[i] * value for value in values)
         return values if secant is None else (secant * values[0], secant * values[1], *values[2:])
-
-
-def averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
-    """Return the (n, n) matrix of Gaussian averages over a length, of non-local laws.
-
-    The same average is taken of the pressure and of the rate: pressure felt at a distance wears at
-    that distance, without which a step need not have a solution. Rows sum to 1 and
-    ``diag(area) A`` is symmetric, so that constants and area integrals are kept (Sinkhorn's
-    scaling).
-    """
-    kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
-    scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
-    for _ in range(_SCALINGS):
-        sums = scale * (kernel @ scale) / area
-        if np.abs(sums - 1.0).max() < 1e-14:
-            break
-        scale = scale / np.sqrt(sums)
-    matrix = scale[:, None] * kernel * scale / area[:, None]
-    return matrix / matrix.sum(axis=1)[:, None]

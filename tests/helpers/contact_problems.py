@@ -57,7 +57,8 @@ def spring(stiffness, count=1, matrix=None):
     """Return the compliance of elements that give way by their own pressures, or by a matrix."""
     matrix = np.eye(12) / stiffness if matrix is None else matrix
     n, units = len(matrix), np.stack([matrix, 0.0 * matrix])[None]
-    line = Line((None,), np.linspace(1.0, 2.0, n), np.linspace(0.5, 1.5, n), None, units)
+    r, area = np.linspace(1.0, 2.0, n), np.linspace(0.5, 1.5, n)
+    line = Line(r=r, area=area, obliquity=None, pairs=(None,), units=units)
     return Compliance.of(line, np.zeros(count, int), np.ones((count, 2)))
 
 

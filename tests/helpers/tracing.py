@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from mpi4py import MPI
 
 from ringwear_par.contact.problem import Contact
-from ringwear_par.contact.tao import TaoContact
 from ringwear_par.history.block import Block
 from ringwear_par.history.checks import Worst
 from ringwear_par.history.elastic import assemble
@@ -75,7 +74,7 @@ def state_of(block, state, number=0):
     return SimpleNamespace(**{**own, "meshed": meshed, "gap": gap, "force": force})
 
 
-def traces(cases, pairs=None, *, step_times=None, paces=None, solver=None):
+def traces(cases, pairs=None, *, step_times=None, paces=None):
     """Return the histories of a block of cases, and why some failed."""
     pairs = pairs or [assemble(cases[0], ALONE)] * len(cases)
     whole = Block.of(cases, pairs, step_times, paces)
@@ -85,7 +84,7 @@ def traces(cases, pairs=None, *, step_times=None, paces=None, solver=None):
         for place, number in enumerate(instant.block.number.tolist()):
             found[number].states.append(state_of(instant.block, instant.state, place))
 
-    return found, simulate(whole, save, solver=solver, every=True)
+    return found, simulate(whole, save, every=True)
 
 
 def trace(case, pair=None, *, tao=False, step_times=None):
@@ -105,11 +104,7 @@ def trace(case, pair=None, *, tao=False, step_times=None):
         history.worst(instant)
         history.states.append(state_of(instant.block, instant.state))
 
-    if tao or following is not None:
-        with TaoContact(block.compliance, block.by_force) as solver:
-            failures = simulate(block, save, solver=solver, following=following, every=True)
-    else:
-        failures = simulate(block, save, every=True)
+    failures = simulate(block, save, tao=tao, following=following, every=True)
     for error in failures.values():
         raise error
     return history

@@ -116,8 +116,8 @@ def test_slopes_of_a_step_are_derivatives_of_its_depths(cones, laws):
     three, zero = np.full(1, 3.0), np.zeros(1)
     step = block.step_wear(wear.astype(int), zero, block.sliding(zero), wear, three)
     p, direction = 50.0 + 20.0 * np.cos(9.0 * x), 4.0 * np.cos(23.0 * x)
-    depth, slope = step.of_history(0, p)
-    ends = [step.of_history(0, p + h * direction)[0] for h in (1e-3, -1e-3)]
+    depth, slope = step.of_one(p)
+    ends = [step.of_one(p + h * direction)[0] for h in (1e-3, -1e-3)]
     along = slope @ direction if slope.ndim == 2 else slope * direction
     found = (ends[0] - ends[1]) / 2e-3
     assert found == pytest.approx(along, rel=1e-5, abs=1e-7 * np.abs(along).max())

@@ -18,7 +18,7 @@ from wearing import (
 
 import ringwear_par as rw
 from ringwear_par.wear.law import NO_WEAR, in_words
-from ringwear_par.wear.step import averaging
+from ringwear_par.wear.step import Elements
 
 MU, P = 0.3, np.array([5.0, 20.0, 80.0])
 R = np.array([10.0, 15.0, 20.0])
@@ -143,8 +143,9 @@ def test_volume_by_energy_is_what_the_law_says(law):
 def test_averages_keep_constants_and_volumes():
     r = np.linspace(28.5, 31.5, 40) ** 2 / 30.0
     area = 2 * np.pi * r * np.gradient(r)
-    average = averaging(r, area, 0.4)
+    elements = Elements(r=r, area=area, obliquity=None)
+    average = elements.average(0.4)
     assert average.sum(axis=1) == pytest.approx(np.ones(40), abs=1e-13)
     assert area @ average == pytest.approx(area, rel=1e-12)
     assert np.linalg.eigvalsh(area[:, None] * average).min() > -1e-12 * area.max()
-    assert averaging(r, area, 1e-6) == pytest.approx(np.eye(40), abs=1e-12)
+    assert elements.average(1e-6) == pytest.approx(np.eye(40), abs=1e-12)
