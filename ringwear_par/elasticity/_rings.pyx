@@ -34,12 +34,6 @@ cdef extern from "_rings.h" nogil:
 cdef Work work
 
 
-cdef _need(bint fits, what):
-    """Refuse arrays that do not fit each other: they would be read and written beyond."""
-    if not fits:
-        raise ValueError(f"integrals over elements need {what}")
-
-
 def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, factors, rows, matrix):
     """Add integrals over the elements of a boundary, times factors, to the rows of sources.
 
@@ -86,20 +80,18 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
     cdef double[:, ::1] own_entries = own
     cdef int pairs = own.shape[0], along_r = 2 * pairs // PAIRS
     cdef Py_ssize_t e
-    _need(
+    # what does not fit would be read and written beyond
+    if not (
         reach.shape[0] == points.shape[0] == weights.shape[0] == MAX_POINTS + 1
-        and points.shape[1] == weights.shape[1] == MAX_POINTS,
-        f"rules of up to {MAX_POINTS} points",
-    )
-    _need(
-        rows.shape == (3 * along_r // 2, len(sources)) and pairs in (PAIRS, STRESS_PAIRS)
+        and points.shape[1] == weights.shape[1] == MAX_POINTS
+        and rows.shape == (3 * along_r // 2, len(sources)) and pairs in (PAIRS, STRESS_PAIRS)
         and sources.shape == (len(nodes), 3) and boundary.elements.shape == (len(lines), 3)
         and columns.shape == factors.shape == (len(lines), 3, 4)
         and (columns.max(axis=(0, 2))
              + [rows[:along_r].max(initial=-1), rows[:along_r].max(initial=-1),
-                rows[along_r:].max(initial=-1)]).max() < len(matrix),
-        "numbers of sources, elements, rows and columns that are in their arrays",
-    )
+                rows[along_r:].max(initial=-1)]).max() < len(matrix)
+    ):
+        raise ValueError("integrals over elements need rules and arrays that fit each other")
     work.count, work.pairs, work.components = len(sources), pairs, along_r
     work.nu, work.sources, work.nodes, work.rows = poisson, &x[0, 0], &node_of[0], &row_of[0, 0]
     work.reach, work.points, work.weights = &reach[0], &points[0, 0], &weights[0, 0]
@@ -129,7 +121,8 @@ def kernels(const double[:, ::1] points, double poisson, bint stress=False):
         normal there, along r and z.
     poisson : Poisson's ratio.
     """
-    _need(points.shape[0] == 5, "five numbers of each point")
+    if points.shape[0] != 5:
+        raise ValueError("kernels need five numbers of each point")
     cdef int pairs = STRESS_PAIRS if stress else PAIRS
     values = np.empty((2 * pairs, points.shape[1]))
     cdef double[:, ::1] out = values

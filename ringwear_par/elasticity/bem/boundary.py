@@ -59,17 +59,6 @@ class BoundaryMesh(NamedTuple):
     below: IntArray
 
 
-class _Piece(NamedTuple):
-    """A piece of a boundary: its element ends, (n+1, 2) mm, and the names of its elements."""
-
-    ends: FloatArray
-    names: list[str]
-
-
-def _named(name: str, ends: FloatArray) -> _Piece:
-    return _Piece(ends, [name] * (len(ends) - 1))
-
-
 def _along(points: FloatArray, n: int, grading: tuple[float, float]) -> FloatArray:
     """Return n+1 element ends graded along the arc of a polyline."""
     if len(points) == 2:
@@ -79,15 +68,17 @@ def _along(points: FloatArray, n: int, grading: tuple[float, float]) -> FloatArr
     return np.stack([np.interp(at, arc, x) for x in points.T], axis=1)
 
 
-def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece:
-    """Return the contact face, from its outer to its inner end.
+def _face(
+    section: Section, line: ContactLine, mesh: Mesh, fine: bool
+) -> tuple[FloatArray, list[str]]:
+    """Return element ends of the contact face, from its outer to its inner end, and their names.
 
     Free pieces inside and outside the contact have as many elements as their length asks.
     """
     (inner, outer), (a, b), radii = section.r, line.edges[[0, -1]].tolist(), section.points[:, 0]
     times, near, far = _FINE if fine else _LAYERED if section.layers else _PLAIN
 
-    def flats(start: float, end: float) -> list[_Piece]:
+    def free(start: float, end: float) -> list[FloatArray]:
         if start == end:
             return []
         cuts = [cut for cut in corners(section) if start < cut < end]
@@ -98,18 +89,15 @@ def _face(section: Section, line: ContactLine, mesh: Mesh, fine: bool) -> _Piece
             towards_high, towards_low = (far if r in section.r else near for r in (high, low))
             r = np.concatenate([[high], radii[(radii > low) & (radii < high)][::-1], [low]])
             points = np.stack([r, section.depth(r)], axis=1)
-            grading = towards_high, 1.0 if low == 0 else towards_low
-            lines.append(_named("flat", _along(points, n, grading)))
+            lines.append(_along(points, n, (towards_high, 1.0 if low == 0 else towards_low))[1:])
         return lines
 
     contact = np.stack([line.edges, section.depth(line.edges)], axis=1)[::-1]
-    return _joined([*flats(b, outer), _named("contact", contact), *flats(inner, a)])
-
-
-def _joined(pieces: Sequence[_Piece]) -> _Piece:
-    """Return pieces one after another as one."""
-    ends = [pieces[0].ends, *(piece.ends[1:] for piece in pieces[1:])]
-    return _Piece(np.concatenate(ends), [name for piece in pieces for name in piece.names])
+    outside, inside = free(b, outer), free(inner, a)
+    first = np.array([[outer, section.depth(outer)]])
+    ends = np.concatenate([first, *outside, contact[1:], *inside])
+    before, after = (sum(map(len, lines)) for lines in (outside, inside))
+    return ends, ["flat"] * before + ["contact"] * line.n + ["flat"] * after
 
 
 def _fixed_face(section: Section, contact: tuple[float, float], mesh: Mesh) -> FloatArray:
@@ -155,26 +143,6 @@ def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -
     line = ContactLine(np.linspace(*contact, n + 1))
     zones = zone_meshes(section, line, replace(mesh, contact_elements=n))
     return sum(len(zone.elements) for zone in zones) * mesh.contact_elements // n
-
-
-def _side(
-    radius: float, unmoved: tuple[float, float], moved: tuple[float, float], n: int
-) -> FloatArray:
-    """Return n+1 element ends of a side face, upwards, between heights unmoved and moved by wear.
-
-    Where but the upper end has moved, and by less than half of the face, the lower half stays where
-    it is.
-    """
-    (low, high), (below, above) = unmoved, moved
-    z = graded(low, high, n, CORNER_GRADING, CORNER_GRADING)
-    middle = 0.5 * (low + high)
-    if below == low and above > middle:
-        upper = 2 * np.arange(n + 1) > n  # by number: round-off would make the middle node move
-        z[upper] -= (high - above) / (high - middle) * (z[upper] - middle)
-    else:
-        z = below + (above - below) / (high - low) * (z - low)
-    z[-1] = above  # exactly: faces share their ends
-    return np.stack([np.full(n + 1, radius), z], axis=1)
 
 
 def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: FloatArray) -> None:
@@ -224,37 +192,40 @@ def zone_meshes(
     zones = []
     levels = [0.0, *(-depth for depth in itertools.accumulate(section.layers)), -section.height]
     for k, (high, low) in enumerate(itertools.pairwise(levels)):
-        base = np.stack([top[:, 0], np.full(len(top), low)], axis=1)
         base_name = "below" if k < len(section.layers) else "fixed"
-        if base_name == "fixed":
-            radii = _fixed_face(section, (a, b), mesh)
-            base = np.stack([radii, np.full(len(radii), low)], axis=1)
+        radii = top[:, 0] if base_name == "below" else _fixed_face(section, (a, b), mesh)
+        base = np.stack([radii, np.full(len(radii), low)], axis=1)
         worn_base = base.copy()
         if base_name == "below":
             film = np.minimum(min(_RESIDUAL, 0.5 * (high - low)), top[:, 1] - low)
             worn_base[:, 1] = np.minimum(low, worn_top[:, 1] - film)
-        up, down = (
-            _side(
-                top[at, 0],
-                (base[at, 1], top[at, 1]),
-                (worn_base[at, 1], worn_top[at, 1]),
-                _side_elements(section, top[at, 0] == edge, high - low, mesh),
-            )
-            for at, edge in ((0, b), (-1, a))
+        outer, inner = (
+            _side(worn_base[at], worn_top[at], _side_elements(section, is_edge, high - low, mesh))
+            for at, is_edge in ((0, section.r[1] == b), (-1, section.r[0] == a))
         )
-        contour = [_named(base_name, worn_base[::-1]), _named("outer_side", up)]
-        contour.append(_Piece(worn_top, names))
+        contour = [(worn_base[::-1], [base_name]), (outer, ["outer_side"]), (worn_top, names)]
         if section.r[0] > 0:  # otherwise the contour runs from axis to axis
-            contour.append(_named("inner_side", down[::-1]))
+            contour.append((inner[::-1], ["inner_side"]))
         zones.append(_closed(contour))
-        top, worn_top, names = base, worn_base, ["above"] * (len(base) - 1)
+        top, worn_top, names = base, worn_base, ["above"]
     return tuple(zones)
 
 
-def _closed(contour: Sequence[_Piece]) -> BoundaryMesh:
-    """Return the elements of pieces one after another, counter-clockwise."""
-    ends, labels = _joined(contour)
-    k, names = len(labels), np.array(labels)
+def _side(low: FloatArray, high: FloatArray, n: int) -> FloatArray:
+    """Return n+1 element ends of a side face, upwards."""
+    z = graded(low[1], high[1], n, CORNER_GRADING, CORNER_GRADING)
+    return np.stack([np.full(n + 1, high[0]), z], axis=1)
+
+
+def _closed(contour: Sequence[tuple[FloatArray, list[str]]]) -> BoundaryMesh:
+    """Return the elements of pieces one after another, counter-clockwise.
+
+    Pieces are element ends, the first of each the last of the one before, and names, one of each
+    element or one of all.
+    """
+    ends = np.concatenate([contour[0][0][:1], *(piece[1:] for piece, _ in contour)])
+    names = np.concatenate([np.broadcast_to(of, len(piece) - 1) for piece, of in contour])
+    k = len(names)
     nodes = np.empty((2 * k + 1, 2))
     nodes[0::2], nodes[1::2] = ends, 0.5 * (ends[:-1] + ends[1:])
     if np.array_equal(ends[0], ends[-1]):

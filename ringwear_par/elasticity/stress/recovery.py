@@ -34,8 +34,7 @@ _BLOCK = 64
 class BoundaryRecovery:
     """The boundary fields of two bodies, for any contact solution, wear and elasticity.
 
-    Responses to unit loads are solved for when first needed, and anew for a body whose elements
-    have moved.
+    Responses to unit loads are solved for when first needed, and anew where elements have moved.
 
     Parameters
     ----------
@@ -59,8 +58,8 @@ class BoundaryRecovery:
     ) -> None:
         self._bodies, self.line, self._mesh, self._planes = bodies, line, mesh, planes
         self.comm, self._fine = comm, fine
-        # of each body the wear and the slope that its responses are of
-        self._known: dict[int, tuple[FloatArray, list[BoundaryResponse]]] = {}
+        # the wear that elements have followed last, and the responses of lower and upper
+        self._shape, self._responses = np.empty(0), list[list[BoundaryResponse]]()
 
     def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
         """Return the responses of the zones of lower and upper, in the frame of the case.
@@ -77,19 +76,18 @@ class BoundaryRecovery:
         """
         line, mesh, (lower, upper) = self.line, self._mesh, self._bodies
         shape = np.zeros((2, line.n)) if shape is None else shape
+        if np.array_equal(shape, self._shape):  # the same on all ranks
+            return self._responses
+        self._shape, self._responses = np.empty(0), []  # not two at a time
         slope = pair_slope((lower.section, upper.section), line, mesh, shape)
+        responses = []
         for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
-            at = np.stack([own, shape[i]])
-            # the slopes and the shape are the same on all ranks, and so is the decision
-            if i in self._known and np.array_equal(self._known[i][0], at):
-                continue
-            self._known.pop(i, None)  # not two at a time
             worn = node_wear(line, shape[i])
             zones = body_zones(body, line, mesh, worn, own, fine=self._fine)
             found, _ = solve_zones(zones, mesh.quadrature_tolerance, self.comm)
-            shown = [in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found]
-            self._known[i] = at, shown
-        return [self._known[i][1] for i in range(2)]
+            responses.append([in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found])
+        self._shape, self._responses = shape.copy(), responses
+        return responses
 
     def interfaces(self) -> list[tuple[FloatArray, FloatArray]]:
         """Return where the interfaces of lower and upper are. Not collective.
@@ -132,17 +130,17 @@ class BoundaryRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
+        loads = np.stack([pressure, pressure, friction * pressure])
         lower, upper = (
-            self._of_body(i, units, pressure, approach, friction, wear[i])
+            self._of_body(i, units, loads, approach, wear[i])
             for i, units in enumerate(self.responses(shape))
         )
         return lower, upper
 
     def _of_body(
-        self, i: int, units: list[BoundaryResponse], p: FloatArray, approach: float,
-        friction: float, wear: FloatArray,
+        self, i: int, units: list[BoundaryResponse], loads: FloatArray, approach: float,
+        wear: FloatArray,
     ) -> BoundaryFields:  # fmt: skip
-        loads = np.stack([p, p, friction * p])
         zones, first = [], 0
         for unit, worn in zip(units, self._worn_zones(i, wear), strict=True):
             # unit loads summed: one load is left, that of the case
@@ -155,11 +153,11 @@ class BoundaryRecovery:
             shown = in_case_frame(replace(unit, boundary=worn), BODIES[i], self._planes[i]).boundary
             pressure, depth = np.zeros((2, len(worn.elements)))
             if len(worn.contact):
-                pressure[worn.contact], depth[worn.contact] = p, wear
+                pressure[worn.contact], depth[worn.contact] = loads[0], wear
             face = np.zeros(len(worn.elements), dtype=np.int64)
-            for name in ("contact", "fixed", "inner_side", "outer_side", "above", "below"):
-                number = "interface" if name in ("above", "below") else name
-                face[getattr(worn, name)] = FACES.index(number)
+            for number, name in enumerate(FACES[1:-1], 1):
+                face[getattr(worn, name)] = number
+            face[np.concatenate([worn.above, worn.below])] = FACES.index("interface")
             displacement /= self._bodies[i].young
             displacement[:, 1] -= approach if i == 1 else 0.0
             elements, first = shown.elements + first, first + len(shown.nodes)
@@ -224,8 +222,9 @@ class _UnitStress:
     points: FloatArray
     zones: IntArray
     under: IntArray
-    #: numbers of points and stress there; those that are this rank's
-    blocks: list[tuple[IntArray, FloatArray]]
+    #: numbers of this rank's points, and the stress there
+    numbers: IntArray
+    inside: FloatArray
     #: (n, 6, n), of the contact elements
     surface: FloatArray
     #: (i, 2, m, 6, n), of the elements above and below each interface, and (m,) as ``under``
@@ -256,8 +255,7 @@ class StressRecovery:
     ) -> None:
         self._boundaries, self._points, self._exclude = boundaries, points, exclude
         self._line, self._comm = boundaries.line, boundaries.comm
-        self._shape = np.empty(0)
-        self._units: list[_UnitStress] = []
+        self._responses, self._units = list[list[BoundaryResponse]](), list[_UnitStress]()
 
     def stresses(
         self,
@@ -280,10 +278,9 @@ class StressRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        shape = np.zeros((2, self._line.n)) if shape is None else shape
-        if not self._units or not np.array_equal(shape, self._shape):
-            self._units, self._shape = [], shape.copy()  # not two at a time
-            bodies = self._boundaries.responses(shape)
+        bodies = self._boundaries.responses(shape)
+        if bodies is not self._responses:
+            self._responses, self._units = bodies, []  # not two at a time
             around = np.concatenate([edges([zone.boundary for zone in body]) for body in bodies])
             self._units = [self._integrated(i, body, around) for i, body in enumerate(bodies)]
         lower, upper = (
@@ -301,8 +298,7 @@ class StressRecovery:
             return stress
 
         stress = np.zeros((len(units.points), 6))
-        for numbers, block in units.blocks:
-            stress[numbers] = under_load(block)
+        stress[units.numbers] = under_load(units.inside)
         self._comm.Allreduce(MPI.IN_PLACE, stress, MPI.SUM)  # each is known to one rank
         surface, along = under_load(units.surface), under_load(units.interfaces)
         if gone is not None and gone.any():
@@ -327,25 +323,32 @@ class StressRecovery:
         search = Search(boundaries, around, self._exclude)
         wanted, sides = self._points[i]
         points = np.concatenate([search.points, wanted])
-        numbers = np.concatenate([search.zones, zones_of(boundaries, wanted, sides)[0]])
+        of_zones = np.concatenate([search.zones, zones_of(boundaries, wanted, sides)[0]])
         parts = [
             (zone, of_zone[first : first + _BLOCK])
             for k, zone in enumerate(stresses)
-            for of_zone in [np.flatnonzero(numbers == k)]
+            for of_zone in [np.flatnonzero(of_zones == k)]
             for first in range(0, len(of_zone), _BLOCK)
         ]
+        mine, faces, n = parts[self._comm.rank :: self._comm.size], boundaries[0], self._line.n
         with together(self._comm):
-            mine = parts[self._comm.rank :: self._comm.size]
-            blocks = [(rows, zone.at(points[rows])) for zone, rows in mine]
-        faces, n = [zone.surface for zone in stresses], self._line.n
-        middles = boundaries[0].nodes[boundaries[0].elements[boundaries[0].below, 1], 0]
-        interfaces = np.empty((len(zones) - 1, 2, len(middles), 6, n))
-        for at, (outer, inner) in enumerate(itertools.pairwise(range(len(zones)))):
-            towards, away = (0, 1) if i == 0 else (1, 0)  # the contact
-            interfaces[at, towards] = faces[outer][boundaries[outer].below]
-            interfaces[at, away] = faces[inner][boundaries[inner].above]
-        under, layers = self._line.element_at(points[:, 0]), len(zones) if len(zones) > 1 else 0
+            blocks = [zone.at(points[of_zone]) for zone, of_zone in mine]
+        middles = faces.nodes[faces.elements[faces.below, 1], 0]
+        interfaces = [
+            (outer.surface[above.below], inner.surface[below.above])[:: 1 if i == 0 else -1]
+            for (outer, above), (inner, below) in itertools.pairwise(
+                zip(stresses, boundaries, strict=True)
+            )
+        ]
         return _UnitStress(
-            search, points, numbers, under, blocks, faces[0][boundaries[0].contact], interfaces,
-            self._line.element_at(middles), layers,
-        )  # fmt: skip
+            search=search,
+            points=points,
+            zones=of_zones,
+            under=self._line.element_at(points[:, 0]),
+            numbers=np.concatenate([np.empty(0, np.int64), *(of_zone for _, of_zone in mine)]),
+            inside=np.concatenate([np.empty((0, 6, n)), *blocks]),
+            surface=stresses[0].surface[faces.contact],
+            interfaces=np.array(interfaces).reshape(-1, 2, len(middles), 6, n),
+            under_interfaces=self._line.element_at(middles),
+            layers=len(zones) if len(zones) > 1 else 0,
+        )
