@@ -146,8 +146,8 @@ def of_tests(
     if not found:
         return []
     # one that scatters makes the others look as if they did
-    _, key, p, doubt = max(found, key=lambda one: one[0])
-    return [Check(f"tests agree on {key}: probability", p, _NO_CHANCE, doubt is None, doubt)]
+    _, key, p, worst = max(found, key=lambda one: one[0])
+    return [Check(f"tests agree on {key}: probability", p, _NO_CHANCE, worst is None, worst)]
 
 
 def heterogeneity(

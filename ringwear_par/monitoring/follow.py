@@ -32,7 +32,7 @@ from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draw
 from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
-from ringwear_par.results.signals import StopSignals
+from ringwear_par.results.progress import StopSignals
 from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)

@@ -94,7 +94,7 @@ def _face(
 
     contact = np.stack([line.edges, section.depth(line.edges)], axis=1)[::-1]
     outside, inside = free(b, outer), free(inner, a)
-    first = np.array([[outer, section.depth(outer)]])
+    first = np.array([[outer, *section.depth(np.array([outer]))]])
     ends = np.concatenate([first, *outside, contact[1:], *inside])
     before, after = (sum(map(len, lines)) for lines in (outside, inside))
     return ends, ["flat"] * before + ["contact"] * line.n + ["flat"] * after
