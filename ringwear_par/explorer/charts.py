@@ -61,7 +61,7 @@ class Chart:
         ]
         self._lines.data = _columns(_LINE, lines)
         self._points.data = _columns(_POINT, points)
-        marks = [*panel.curves, *panel.points]
+        marks: list[Curve | Points] = [*panel.curves, *panel.points]
         for axis, drawn, scale, values in (
             (panel.x, self.figure.x_range, self.figure.xaxis[0], [mark.x for mark in marks]),
             (panel.y, self.figure.y_range, self.figure.yaxis[0], [mark.y for mark in marks]),
