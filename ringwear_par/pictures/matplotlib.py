@@ -229,7 +229,7 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
     if not axis.log and 0.0 < max(map(abs, scale.get_view_interval())) < _SMALL:
         scale.set_major_formatter(_NUMBERS)
     if axis.reversed:
-        getattr(axes, f"invert_{name}axis")()
+        scale.set_inverted(True)
 
 
 def _set_categories(axes: Any, name: str, categories: Sequence[str]) -> None:
