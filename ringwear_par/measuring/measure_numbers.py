@@ -166,12 +166,7 @@ def lines_of(entry: Mapping[str, Any]) -> Iterator[str]:
 
 
 def table(outcome: Mapping[str, Any]) -> str:
-    """Return the contents of measure.csv: a row a test; empty cells for what was not measured.
-
-    Parameters
-    ----------
-    outcome : the contents of measure.json.
-    """
+    """Return measure.csv of measure.json: a row a test, empty cells where nothing was measured."""
     text = io.StringIO()
     header, rows = table_of(outcome)
     digits = [

@@ -173,33 +173,22 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]], width: float | None) -> F
     lines = -(-len(drawings) // most)
     columns = -(-len(drawings) // lines)
     names = [panel for panel, _ in drawings]
-
-    def size(panels_of_row: Sequence[str]) -> float:
-        return 1.0 if _SECTIONS.isdisjoint(panels_of_row) else _LARGER
-
-    widths = [size(names[column::columns]) for column in range(columns)]
-    heights = [size(names[line * columns : (line + 1) * columns]) for line in range(lines)]
+    size = 1.0 if _SECTIONS.isdisjoint(names) else _LARGER
     # sections have the same scale along both axes and leave room that constrained ones keep
     layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
-    inches = _PANEL[0] * sum(widths) if width is None else width / MM_OF_INCH
-    figure = NotebookFigure(figsize=(inches, _PANEL[1] * sum(heights)), layout=layout)
-    grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
-    all_axes = []
-    for number, (_, drawing) in enumerate(drawings):
-        axes = figure.add_subplot(grid[number // columns, number % columns])
+    inches = size * _PANEL[0] * columns if width is None else width / MM_OF_INCH
+    figure = NotebookFigure(figsize=(inches, size * _PANEL[1] * lines), layout=layout)
+    profiles: dict[str, Any] = {}  # of one scale, or one cannot compare
+    for number, (panel, drawing) in enumerate(drawings, start=1):
+        axes = figure.add_subplot(lines, columns, number, sharey=profiles.get(panel))
+        if panel in _PROFILES:
+            profiles[panel] = axes
         # else taken when the figure is drawn, where another style may hold
         axes.tick_params(labelsize=STYLE["font.size"])
         if isinstance(drawing, Panel):
             draw(axes, drawing)
         else:
             drawing(axes)
-        all_axes.append(axes)
-    for profile in _PROFILES:  # one scale, or one cannot compare
-        alike = [axes for axes, name in zip(all_axes, names, strict=True) if name == profile]
-        ends = [axes.get_ylim() for axes in alike]
-        for axes in alike:  # worn depths grow downwards
-            lower, upper = (max, min) if axes.yaxis_inverted() else (min, max)
-            axes.set_ylim(lower(end for end, _ in ends), upper(end for _, end in ends))
     add_letters(figure)
     return figure
 

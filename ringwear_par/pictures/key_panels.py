@@ -1,6 +1,5 @@
 """Panels of keys: what a fit knows of each, of pairs and of specimens; what designs would tell."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +8,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import quantity_label, quantity_name
-from ringwear_par.cases.units import in_signs
 from ringwear_par.pictures.panel import Axis, Band, Bars, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 
@@ -17,8 +15,7 @@ from ringwear_par.pictures.style import COLOURS
 _NAMED = 12
 #: probabilities between which axes show draws, bars of a density, most dots of a pair
 _SHOWN, _BINS, _DOTS = (0.001, 0.999), 30, 1000
-_LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074"
-                                          "\u2075\u2076\u2077\u2078\u2079")  # fmt: skip
+_LINE = "#808080"
 
 
 def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
@@ -33,17 +30,6 @@ def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
     return "" if entry["unit"] in ("1", "-") else str(entry["unit"]), 1.0
 
 
-def _power(largest: float) -> int:
-    """Return the power of ten that numbers beside an axis leave out."""
-    power = math.floor(math.log10(largest)) if largest else 0
-    return 0 if -3 <= power < 4 else power
-
-
-def _unit_with_power(unit: str, power: int) -> str:
-    times = f"10{str(power).translate(_DIGITS)}" if power else ""
-    return " ".join(filter(None, (times, in_signs(unit))))
-
-
 @dataclass(frozen=True)
 class FittedKey:
     """A fitted key on an axis."""
@@ -55,22 +41,16 @@ class FittedKey:
     #: (s,) draws of its values
     draws: FloatArray
 
-    @property
-    def power(self) -> int:
-        """The power of ten that numbers beside its axis leave out."""
-        return _power(float(np.abs(self.draws).max()) / users_unit(self.entry)[1])
-
     def scaled(self, values: Any) -> FloatArray:
-        """Return values in the unit of the axis, without that power of ten."""
-        return np.asarray(values, dtype=float) / (users_unit(self.entry)[1] * 10.0**self.power)
+        """Return values in the unit of the axis."""
+        return np.asarray(values, dtype=float) / users_unit(self.entry)[1]
 
     @property
     def axis(self) -> Axis:
         """The axis of its values."""
-        unit = _unit_with_power(users_unit(self.entry)[0], self.power)
         low, high = self.scaled(np.quantile(self.draws, _SHOWN)).tolist()
         ends = (low, high) if low < high else None
-        return Axis(quantity_label(self.name, unit), ends=ends)
+        return Axis(quantity_label(self.name, users_unit(self.entry)[0]), ends=ends)
 
 
 def fitted_keys(outcome: Mapping[str, Any], draws: Mapping[str, FloatArray]) -> list[list[Panel]]:
@@ -129,9 +109,6 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     level : of its intervals.
     """
     entries, (unit, scale) = estimate["each"], users_unit(estimate)
-    known = [end for name in ("next", "interval") for end in estimate[name] if end is not None]
-    power = _power(max(map(abs, (estimate["estimate"], *known))) / scale)
-    unit, scale = _unit_with_power(unit, power), scale * 10.0**power
     places = np.arange(len(entries), dtype=float)
     ends = np.array([-0.6, len(entries) - 0.4])
     bands = []

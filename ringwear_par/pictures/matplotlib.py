@@ -18,7 +18,6 @@ from ringwear_par.pictures.style import (
     NotebookFigure,
     number_text,
     plain,
-    set_legend,
     svg,
 )
 
@@ -36,6 +35,8 @@ _EDGE = 0.6
 _MOST_INTERVALS = 6
 #: most points that vector drawings draw one by one; more are a picture, else files would be large
 _MANY = 200
+#: numbers below which all of an axis have their exponents, and how these are written
+_SMALL, _NUMBERS = 1e-3, FuncFormatter(lambda value, _: number_text(value, 6))
 #: length of an axis from 0 over that of what is drawn
 _ROOM = 1.05
 #: most words of categories side by side, and their letters above which they are slanted
@@ -224,8 +225,11 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
         axes.xaxis.set_major_locator(MaxNLocator(_MOST_INTERVALS, steps=[1, 2, 5, 10]))
     elif axis.log:
         _label_decades(getattr(axes, f"{name}axis"))
+    scale = getattr(axes, f"{name}axis")
+    if not axis.log and 0.0 < max(map(abs, scale.get_view_interval())) < _SMALL:
+        scale.set_major_formatter(_NUMBERS)
     if axis.reversed:
-        getattr(axes, f"invert_{name}axis")()
+        scale.set_inverted(True)
 
 
 def _set_categories(axes: Any, name: str, categories: Sequence[str]) -> None:
@@ -250,7 +254,7 @@ def _label_decades(axis: Any) -> None:
     few = MaxNLocator(4, steps=[1, 2, 5, 10])
     subs = (1.0, 2.0, 5.0) if decades < 1.2 else (1.0, 3.0)
     axis.set_major_locator(few if decades < 0.7 else LogLocator(subs=subs))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
+    axis.set_major_formatter(_NUMBERS)
     axis.set_minor_locator(NullLocator())
 
 
@@ -282,5 +286,10 @@ def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None
     entries = legend_entries(axes)
     if entries or title:
         letters = max(map(len, entries), default=0) + _GLYPH
-        columns = max(1, min(columns, _LETTERS // letters))
-        set_legend(axes, columns, title, entries)
+        legend = axes.legend(
+            entries.values(), entries, frameon=False, loc="lower center",
+            bbox_to_anchor=(0.5, 1.0), ncols=max(1, min(columns, _LETTERS // letters)),
+            title=title, title_fontsize=8.0, columnspacing=1.0, handlelength=1.8,
+            borderaxespad=0.2,
+        )  # fmt: skip
+        legend.get_title().set_multialignment("center")

@@ -4,7 +4,7 @@ import io
 import logging
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -100,23 +100,6 @@ def in_words(value: Any, unit: str = "") -> str:
         if all(len(pair) == 2 and all(map(is_number, pair)) for pair in value):
             return f"{ends[0]:g} to {ends[1]:g}{unit} in {len(value)} points"
     return value if isinstance(value, str) else shortened(value)
-
-
-def set_legend(
-    axes: Any, columns: int, title: str = "", entries: Mapping[str, Any] | None = None
-) -> None:
-    """Set a legend above the panel, where it covers nothing.
-
-    Parameters
-    ----------
-    entries : what stands beside each label; None: all that is drawn with a label.
-    """
-    labelled = () if entries is None else (list(entries.values()), list(entries))
-    legend = axes.legend(
-        *labelled, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns,
-        title=title, title_fontsize=8.0, columnspacing=1.0, handlelength=1.8, borderaxespad=0.2,
-    )  # fmt: skip
-    legend.get_title().set_multialignment("center")
 
 
 def check_format(output: Path) -> None:

@@ -25,7 +25,7 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
 from ringwear_par.cases.schema import unit_under
 from ringwear_par.cases.values import is_number
-from ringwear_par.errors import Fault, InputError
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import read_text, toml_value
 from ringwear_par.history.refusals import check_memory, check_mesh
 from ringwear_par.studies.variations import (
@@ -38,8 +38,6 @@ from ringwear_par.studies.variations import (
 )
 from ringwear_par.version import __version__
 
-#: values of a varied key that notebooks list
-_LISTED = 8
 #: values of a key that are checked one by one, beside the last
 _MOST_VALUES = 20
 #: bad cases at the beginning of a design, after which no good one is looked for
@@ -81,8 +79,8 @@ class Study:
         units, table = self.units(), "<table><tr><th>key<th>values<th>unit"
         for name, column in self.columns.items():
             values = dict.fromkeys(f"{v:.4g}" if is_number(v) else str(v) for v in column.tolist())
-            words = ", ".join(values) if len(values) <= _LISTED else f"{len(values)} values"
-            table += f"<tr><td>{escape(name)}<td>{escape(words)}<td>{units[name]}"
+            words = escape(legible(", ".join(values), 100))
+            table += f"<tr><td>{escape(name)}<td>{words}<td>{units[name]}"
         table += "</table>"
         return f"<div><pre>{escape(repr(self))}</pre>{table}{self.case(0)._repr_html_()}</div>"
 
