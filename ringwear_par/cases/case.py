@@ -254,7 +254,7 @@ class Case:
     @cached_property
     def initial_gap(self) -> FloatArray:
         """(n,) mm, gap at the gap points of the contact line."""
-        return self.gap_at(self.line.gap_point)
+        return self.gap_at(self.line.r)
 
     @property
     def interpenetration(self) -> float:
@@ -303,7 +303,7 @@ class Case:
         """
         ring = self.rings[body]
         ends = np.cumsum([layer.thickness for layer in ring.layers])[:, None]
-        return ends + self.section(ring).depth(self.line.gap_point)
+        return ends + self.section(ring).depth(self.line.r)
 
     @property
     def area(self) -> float:

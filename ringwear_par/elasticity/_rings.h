@@ -52,8 +52,7 @@ typedef double Vector __attribute__((vector_size(8 * VECTOR), aligned(8), may_al
 /* Field points with the radii of their sources, and kernels there: of each pair that which
    multiplies tractions, U or D, then of each that which multiplies displacements, T or S */
 typedef struct {
-    double r[ROW], a[ROW], b[ROW], nr[ROW], nz[ROW];
-    double value[2 * STRESS_PAIRS][ROW];
+    Row r, a, b, nr, nz, value[2 * STRESS_PAIRS];
 } Tile;
 
 /* ---- moments ---- */
@@ -214,22 +213,6 @@ typedef struct {
     double ne[3], ring, nu;
 } Point;
 
-INLINE Point point_of(double r, double a, double b, double nr, double nz, double nu)
-{
-    const double r1 = r + a;
-    const Powers zero = {{0.0}}, one = {{1.0}}, cosine = {{1.0, -2.0}}, sine = {{1.0}, 1};
-    return (Point){
-        .away = {{{a, -2.0 * r1}}, {{r1}, 1}, {{b}}},
-        .normal = {{{nr, -2.0 * nr}}, {{nr}, 1}, {{nz}}},
-        .e = {{cosine, sine, zero}, {{{-1.0}, 1}, cosine, zero}, {zero, zero, one}},
-        .rn = {{nr * a + nz * b, 2.0 * r * nr}},
-        .re = {{{a, 2.0 * r}}, {{r}, 1}, {{b}}},
-        .ne = {nr, 0.0, nz},
-        .ring = r1 / (8.0 * PI * (1.0 - nu)),
-        .nu = nu,
-    };
-}
-
 /* Set U and T of component i at the source and direction k on the element. */
 INLINE void boundary_kernel(const Point *x, int i, int k, double *u, double *t)
 {
@@ -269,12 +252,36 @@ INLINE void stress_kernel(const Point *x, int i, int j, int k, double *d, double
             - same * (1.0 - 4.0 * nu) * ne * x->i[2].c[0]);
 }
 
-/* Set the kernels of pairs at a point of a tile. */
-INLINE void set_kernels(Tile *tile, int pairs, int at, const Point *x)
+/* Recursions divide by m = 4 r r1 / S^2 once for each power of s2: below this they are not used. */
+INLINE int is_small(double r, double a, double b)
 {
-    double(*first)[ROW] = tile->value, (*second)[ROW] = tile->value + pairs;
-#define BOUNDARY(pair, i, k) boundary_kernel(x, i, k, &first[pair][at], &second[pair][at])
-#define STRESS(pair, i, j, k) stress_kernel(x, i, j, k, &first[pair][at], &second[pair][at])
+    const double span2 = 4.0 * r * (r + a);
+    return span2 < 0.3 * (a * a + b * b + span2);
+}
+
+/* Set the kernels of pairs at a point of a tile. */
+INLINE void set_kernels(Tile *tile, int pairs, int at, double nu, int small)
+{
+    const double r = tile->r[at], a = tile->a[at], b = tile->b[at], r1 = r + a;
+    const double nr = tile->nr[at], nz = tile->nz[at];
+    const Powers zero = {{0.0}}, one = {{1.0}}, cosine = {{1.0, -2.0}}, sine = {{1.0}, 1};
+    Point x = {
+        .away = {{{a, -2.0 * r1}}, {{r1}, 1}, {{b}}},
+        .normal = {{{nr, -2.0 * nr}}, {{nr}, 1}, {{nz}}},
+        .e = {{cosine, sine, zero}, {{{-1.0}, 1}, cosine, zero}, {zero, zero, one}},
+        .rn = {{nr * a + nz * b, 2.0 * r * nr}},
+        .re = {{{a, 2.0 * r}}, {{r}, 1}, {{b}}},
+        .ne = {nr, 0.0, nz},
+        .ring = r1 / (8.0 * PI * (1.0 - nu)),
+        .nu = nu,
+    };
+    if (small)
+        moments_by_quadrature(r, a, b, x.i);
+    else
+        moments_by_recursion(r, a, b, x.i);
+    Row *first = tile->value, *second = tile->value + pairs;
+#define BOUNDARY(pair, i, k) boundary_kernel(&x, i, k, &first[pair][at], &second[pair][at])
+#define STRESS(pair, i, j, k) stress_kernel(&x, i, j, k, &first[pair][at], &second[pair][at])
     if (pairs == PAIRS) {
         BOUNDARY(0, R, R), BOUNDARY(1, Z, R), BOUNDARY(2, R, Z), BOUNDARY(3, Z, Z);
         BOUNDARY(4, T, T);
@@ -285,30 +292,15 @@ INLINE void set_kernels(Tile *tile, int pairs, int at, const Point *x)
     }
 }
 
-/* Recursions divide by m = 4 r r1 / S^2 once for each power of s2: below this they are not used. */
-INLINE int is_small(double r, double a, double b)
-{
-    const double span2 = 4.0 * r * (r + a);
-    return span2 < 0.3 * (a * a + b * b + span2);
-}
-
 INLINE void fill(Tile *tile, int pairs, int count, double nu)
 {
-    const double *r = tile->r, *a = tile->a, *b = tile->b, *nr = tile->nr, *nz = tile->nz;
+    const double *r = tile->r, *a = tile->a, *b = tile->b;
     int small = 0;
 #pragma GCC ivdep
-    for (int i = 0; i < count; i++) {
-        Point x = point_of(r[i], a[i], b[i], nr[i], nz[i], nu);
-        moments_by_recursion(r[i], a[i], b[i], x.i);
-        set_kernels(tile, pairs, i, &x);
-    }
+    for (int i = 0; i < count; i++) set_kernels(tile, pairs, i, nu, 0);
     for (int i = 0; i < count; i++) small += is_small(r[i], a[i], b[i]);
-    for (int i = 0; small && i < count; i++) {
-        if (!is_small(r[i], a[i], b[i])) continue;
-        Point x = point_of(r[i], a[i], b[i], nr[i], nz[i], nu);
-        moments_by_quadrature(r[i], a[i], b[i], x.i);
-        set_kernels(tile, pairs, i, &x);
-    }
+    for (int i = 0; small && i < count; i++)
+        if (is_small(r[i], a[i], b[i])) set_kernels(tile, pairs, i, nu, 1);
 }
 
 /* Set the kernels of PAIRS, or STRESS_PAIRS, at the first points of a tile. */
@@ -333,21 +325,21 @@ typedef struct {
     int64_t count;
     int pairs, components; /* at the source, of directions r and z */
     double nu;
-    const double *sources;
-    const int64_t *nodes, *rows;
+    Doubles sources;
+    Integers nodes, rows;
     double *matrix, *own;
-    const double *reach, *points, *weights; /* rules, see quadrature.py */
+    Doubles reach, points, weights; /* rules, see quadrature.py */
     /* the element; nodes, columns and factors there */
     Element e;
-    const int64_t *local, *columns;
-    const double *factors;
+    Integers local, columns;
+    Doubles factors;
     /* sources side by side: radii, offsets of the element's start (or of the source itself, where
        the element holds it) and heights of the fields that are subtracted */
-    double r[ROW], a[ROW], b[ROW], z0[ROW];
+    Row r, a, b, z0;
     Tile tile;
     /* integrals: of each pair's second kernel times the three shape functions and of its first
        kernel; over how many parts of the element */
-    double of[STRESS_PAIRS][4][ROW];
+    Row of[STRESS_PAIRS][4];
     int parts;
 } Work;
 
@@ -390,7 +382,7 @@ VERSIONS static void integrate(Work *w, int count, int at, int rule, double star
     fill_kernels(&w->tile, w->pairs, n * count, w->nu);
     for (int pair = 0; pair < w->pairs; pair++)
         for (int i = 0; i < count; i += VECTOR) {
-            double(*of)[ROW] = w->of[pair];
+            Row *of = w->of[pair];
             Vector x[4] = {{0.0}};
             for (int k = 0; k < 4 && w->parts; k++) x[k] = *(const Vector *)(of[k] + i);
             for (int q = 0; q < n; q++) {
@@ -448,7 +440,7 @@ static int integrate_around(Work *w, int at)
 VERSIONS static void set_own(const Work *w, int pair, int count, double *restrict own)
 {
     const double lateral = 2.0 * w->nu / (1.0 - w->nu), star = w->e.nr / (1.0 - w->nu);
-    const double(*h)[ROW] = w->of[pair], (*axial)[ROW] = w->of[pair + w->components];
+    const Row *h = w->of[pair], *axial = w->of[pair + w->components];
     const int direction = pair / w->components; /* r, z or theta */
     for (int i = 0; i < count; i += VECTOR) {
         Vector sum = {0.0};
@@ -466,7 +458,7 @@ VERSIONS static void set_own(const Work *w, int pair, int count, double *restric
 /* Add the integrals, times factors, to columns, of which -1 is none, at the rows of sources. */
 static void add(const Work *w, const int64_t *sources, int count)
 {
-    double own[ROW];
+    Row own;
     int64_t rows[TILE];
     for (int pair = 0; pair < w->pairs; pair++) {
         const int direction = pair / w->components;

@@ -64,13 +64,8 @@ class ContactLine:
 
     @cached_property
     def r(self) -> FloatArray:
-        """(n,) mm, mid-points."""
+        """(n,) mm, mid-points, where gaps and displacements are taken, as the equation is."""
         return read_only(0.5 * (self.edges[1:] + self.edges[:-1]))
-
-    @property
-    def gap_point(self) -> FloatArray:
-        """(n,) mm, where gaps and displacements are taken: the mid-points, as the equation is."""
-        return self.r
 
     @property
     def width(self) -> FloatArray:
@@ -203,7 +198,7 @@ def face_slope(section: Section, line: ContactLine, mesh: Mesh, worn: FloatArray
     worn : (..., n) float, mm, depths worn off the elements.
     """
     slope: FloatArray = np.diff(section.depth(line.edges)) / line.width
-    r = line.gap_point
+    r = line.r
     half = np.maximum(0.5 * line.width, mesh.geometry_tolerance)
     below, above = (np.clip(r + side * half, r[0], r[-1]) for side in (-1.0, 1.0))
     lowered = _interpolated(above, r, worn) - _interpolated(below, r, worn)

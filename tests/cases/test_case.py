@@ -42,7 +42,7 @@ def test_rings_need_not_touch():
 
 def test_shapes_give_the_initial_gap():
     case = read_case(PAPER, ["upper.chamfer=[0.2, 0.1]"])
-    r = case.line.gap_point
+    r = case.line.r
     exact = np.maximum(0, np.maximum(28.7 - r, r - 31.4))
     assert case.initial_gap == pytest.approx(exact, abs=1e-13)
     assert case.area == pytest.approx(math.pi * (31.5**2 - 28.5**2))
@@ -50,7 +50,7 @@ def test_shapes_give_the_initial_gap():
         "lower.profile=[[20.0000000001, 19], [30, 20], [40, 18]]",
         "upper.profile=[[28.5, 21], [31.5, 20.5]]", "mesh.contact=[29, 31.5000000001]",
     ])  # fmt: skip
-    r = case.line.gap_point
+    r = case.line.r
     lower = np.where(r < 30, 19 + (r - 20) / 10, 20 - 0.2 * (r - 30))
     assert case.initial_gap == pytest.approx(21 - (r - 28.5) / 6 - lower, abs=1e-9)
     assert case.contact == (29, 31.5)

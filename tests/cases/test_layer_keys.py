@@ -56,4 +56,4 @@ def test_a_layer_ends_below_a_face_that_recedes():
     crown = {"lower.profile": {"crown": 1000.0}, "lower.layers[0].thickness": 0.1}
     case = rw.read_case(CASE, crown)
     left = case.layer_ends(0)[0]  # of the layer, from the contact plane
-    np.testing.assert_allclose(left - 0.1, case.sections[0].depth(case.line.gap_point), atol=1e-15)
+    np.testing.assert_allclose(left - 0.1, case.sections[0].depth(case.line.r), atol=1e-15)

@@ -58,7 +58,7 @@ def test_uniform_wear_is_a_lower_ring(comm):
 
 def test_wear_at_the_nodes():
     line = contact_line((28.5, 31.5), Mesh(16))
-    x, r = line.gap_point, line.edges
+    x, r = line.r, line.edges
     assert node_wear(line, 0.2 + 0.1 * (x - 28.5)) == pytest.approx(
         np.maximum(0.2 + 0.1 * (r - 28.5), 0.2 + 0.1 * (x[0] - 28.5)), rel=1e-12
     )

@@ -59,7 +59,7 @@ def test_a_sphere_slopes_as_one_and_not_in_steps_of_its_samples():
 def test_a_linear_wear_depth_adds_its_slope_up_to_the_ends():
     mesh = Mesh(32, grading=3.5, geometry="updated", geometry_tolerance=0.005)
     line = contact_line(CONTACT, mesh)
-    worn = 0.05 + 0.02 * (line.gap_point - 30.0)
+    worn = 0.05 + 0.02 * (line.r - 30.0)
     assert line.width.min() < 0.2 * mesh.geometry_tolerance < line.width.max()
     for tangent in (0.0, TAN):
         found = face_slope(cone(tangent) if tangent else Section(CONTACT, 20.0), line, mesh, worn)
@@ -78,11 +78,11 @@ def test_round_off_of_depths_is_no_slope():
     assert line.width.min() < 2e-6
     noise = 1e-9 * np.where(np.arange(128) % 2, 1.0, -1.0)
     assert np.abs(np.diff(noise) / np.diff(line.r)).max() > 1e-4
-    smooth = 0.02 + 1e-3 * (line.gap_point - 30.0) ** 2
+    smooth = 0.02 + 1e-3 * (line.r - 30.0) ** 2
     flat = Section(CONTACT, 20.0)
     clean, found = (face_slope(flat, line, mesh, smooth + more) for more in (0.0, noise))
     assert np.abs(found - clean).max() < 1e-6
-    assert clean == pytest.approx(-2e-3 * (line.gap_point - 30.0), abs=1e-5)
+    assert clean == pytest.approx(-2e-3 * (line.r - 30.0), abs=1e-5)
 
 
 def test_pressure_acts_along_the_flatter_face_or_the_axis():

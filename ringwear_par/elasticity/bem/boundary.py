@@ -94,7 +94,7 @@ def _face(
 
     contact = np.stack([line.edges, section.depth(line.edges)], axis=1)[::-1]
     outside, inside = free(b, outer), free(inner, a)
-    first = np.array([[outer, *section.depth(np.array([outer]))]])
+    first = np.stack([[outer], section.depth(np.array([outer]))], axis=1)
     ends = np.concatenate([first, *outside, contact[1:], *inside])
     before, after = (sum(map(len, lines)) for lines in (outside, inside))
     return ends, ["flat"] * before + ["contact"] * line.n + ["flat"] * after
@@ -246,9 +246,7 @@ def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:
 
     Linear between the gap points; at the ends extrapolated, but not below the last element's own.
     """
-    if line.n == 1:
-        return np.repeat(worn, 2)
-    x, r = line.gap_point, line.edges
+    x, r = line.r, line.edges
     nodes = np.interp(r, x, worn)
     for end, a, b in ((0, 0, 1), (-1, -1, -2)):
         slope = (worn[a] - worn[b]) / (x[a] - x[b])

@@ -175,8 +175,8 @@ class BoundaryRecovery:
         )
         nodes = first.nodes.copy()
         middle = first.elements[first.contact, 1]
-        nodes[middle, 0] = line.gap_point
-        nodes[middle, 1] = section.depth(line.gap_point) - wear
+        nodes[middle, 0] = line.r
+        nodes[middle, 1] = section.depth(line.r) - wear
         return [first._replace(nodes=nodes), *layers_below]
 
 
@@ -348,7 +348,7 @@ class StressRecovery:
             numbers=np.concatenate([np.empty(0, np.int64), *(of_zone for _, of_zone in mine)]),
             inside=np.concatenate([np.empty((0, 6, n)), *blocks]),
             surface=stresses[0].surface[faces.contact],
-            interfaces=np.array(interfaces).reshape(-1, 2, len(middles), 6, n),
+            interfaces=np.array(interfaces).reshape(len(zones) - 1, 2, len(middles), 6, n),
             under_interfaces=self._line.element_at(middles),
             layers=len(zones) if len(zones) > 1 else 0,
         )

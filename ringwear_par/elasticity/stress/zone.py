@@ -47,11 +47,6 @@ class Located(NamedTuple):
     #: (p,) float, mm, to it, negative outside
     distance: FloatArray
 
-    def of(self, points: IntArray) -> "Located":
-        """Return where some of the points lie."""
-        element, t, foot, distance = self
-        return Located(element[points], t[points], foot[points], distance[points])
-
 
 def locate(boundary: BoundaryMesh, points: FloatArray) -> Located:
     """Return where points (p, 2) lie to a boundary. Not collective."""
@@ -119,7 +114,8 @@ class ZoneStress:
             stress[p] = self._on_surface(at.element[p], at.t[p])
         near = np.flatnonzero(~outside & ~on_face & ~inside)
         if len(near):
-            stress[near] = self._near_surface(points[near], at.of(near))
+            to = Located(at.element[near], at.t[near], at.foot[near], at.distance[near])
+            stress[near] = self._near_surface(points[near], to)
         if inside.any():
             stress[inside] = self._integrated(points[inside])
         on_axis = points[:, 0] <= self._thin
