@@ -226,7 +226,7 @@ def _compute_block(
         del pairs[key]
     cases = study.cases_of(block.numbers)
     parts, errors = computed(cases, pairs, comm)
-    histories = [(np.array(part.numbers), part.columns) for part in parts]
+    histories = [(np.array(p.numbers), p.recorder.columns(p.failures)) for p in parts]
 
     def store() -> None:
         about = {"case": study.ids(block.numbers), "number": block.numbers}

@@ -21,7 +21,7 @@ ROOMS = {
     "files": 1225,
     "measuring": 2512,
     "results": 3015,
-    "studies": 3080,
+    "studies": 2857,
     "identification": 7460,
     "prediction monitoring": 1477,
     "pictures reports explorer functions": 6588,
