@@ -57,7 +57,7 @@ def interval_of(number: Number) -> Interval | None:
 
 
 def number_faults(case: Case, name: str) -> list[str]:
-    """Return the faults of the numbers of a case that was not read, a sentence each with its name."""
+    """Return the faults of the numbers of a case that was not read, sentences with its name."""
     numbers = [
         (f"{table}.{key.path}", key, getattr(layer, key.path, None))
         for table, layer in case.materials.items()
