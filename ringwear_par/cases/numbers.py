@@ -57,12 +57,7 @@ def interval_of(number: Number) -> Interval | None:
 
 
 def number_faults(case: Case, name: str) -> list[str]:
-    """Return the faults of the numbers of a case that was not read, one sentence each.
-
-    Parameters
-    ----------
-    name : what messages call the case.
-    """
+    """Return the faults of the numbers of a case that was not read, sentences with its name."""
     numbers = [
         (f"{table}.{key.path}", key, getattr(layer, key.path, None))
         for table, layer in case.materials.items()
@@ -136,13 +131,9 @@ def _refused_by(
 def with_numbers(
     case: Case, numbers: Mapping[Number, Sequence[float]], texts: Sequence[str]
 ) -> list[Case]:
-    """Return cases with other numbers, that are known to be good; see ``make_case``.
+    """Return cases with other numbers and texts, which are known to be good.
 
-    Parameters
-    ----------
-    case : one of them, made of keys.
-    numbers : of all cases.
-    texts : of all cases.
+    The case that they are copies of is one of them, and was made of keys, see ``make_case``.
     """
     columns: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
     for (path, entry), values in numbers.items():

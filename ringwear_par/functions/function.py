@@ -25,7 +25,6 @@ from ringwear_par.studies.variations import (
     name_fault,
     own_key,
     value_of,
-    varied_keys,
     without_units,
 )
 
@@ -167,7 +166,7 @@ class Function:
     def _case(self, row: Sequence[float]) -> Case | InputError:
         """Return the case with other numbers, or all its faults."""
         try:
-            return make_case(varied_keys(self.keys, [*self.inputs], row), "case")
+            return make_case(override(self.keys, dict(zip(self.inputs, row, strict=True))), "case")
         except InputError as error:
             return error
 

@@ -64,11 +64,8 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
     """Yield blocks that are not there and that nobody is at work on, until all are there.
 
     Each is locked until the next is asked for, or this is closed. In the end this waits for those
-    of others, and takes over what a killed process had locked. Without locks: those of a share.
-
-    Parameters
-    ----------
-    share, shares : number of this team of ranks, and how many there are.
+    of others, and takes over what a killed process had locked. Shares are those of teams of ranks:
+    each begins with its own, and has no other where there are no locks.
     """
     first = len(blocks) * share // shares
     left, nap = [*blocks[first:], *blocks[:first]], _SHORTEST_NAP

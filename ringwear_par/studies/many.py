@@ -7,9 +7,8 @@ predictions share lists of cases out over the ranks.
 import logging
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from mpi4py import MPI
 
@@ -25,7 +24,7 @@ from ringwear_par.history.refusals import check_case, check_memory, check_mesh, 
 from ringwear_par.history.stresses import stress_key
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.recorder import Recorder
-from ringwear_par.results.result import FailedResult, HistoryColumns, Result
+from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.variations import is_whole
 
@@ -183,8 +182,7 @@ def _most_side_by_side(case: Case) -> int:
     return min(max(_NUMBERS // (_FIELDS * case.mesh.contact_elements), 16), MOST)
 
 
-@dataclass(frozen=True)
-class Computed:
+class Computed(NamedTuple):
     """Cases that were computed together."""
 
     #: of the cases among all
@@ -193,11 +191,6 @@ class Computed:
     recorder: Recorder
     #: why some of them failed, by place in ``numbers``
     failures: dict[int, Exception]
-
-    @property
-    def columns(self) -> HistoryColumns:
-        """The histories as they are stored, in the order of the numbers."""
-        return self.recorder.columns(self.failures)
 
     def results(self) -> dict[int, Result | Exception]:
         """Return the results, or why there are none, by number."""

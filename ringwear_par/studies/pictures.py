@@ -198,11 +198,10 @@ def histories(ensemble: Ensemble, choice: Choice) -> Panel:
     x, label = Axis(f"time ({unit})", zero=True), display_of("penetration").label
     if len(cases) > _FEW:
         return _fan(lines, x, label, len(choice.cases))
-    keys = [key for key in choice.keys if key.differs]
     names, legend = [ensemble.ids[case] for case in cases], "case"
+    keys = [key for key in choice.keys if key.differs]
     if 0 < len(keys) <= _NAMED_KEYS:
-        names = _names(keys)
-        legend = ",\n".join(key.label for key in keys)
+        names, legend = _names(keys), ",\n".join(key.label for key in keys)
     curves = [
         Curve(*line, name, COLOURS[i % len(COLOURS)], i // len(COLOURS))
         for i, (line, name) in enumerate(zip(lines, names, strict=True))
@@ -214,9 +213,7 @@ def histories(ensemble: Ensemble, choice: Choice) -> Panel:
 def _fan(lines: list[tuple[FloatArray, FloatArray]], x: Axis, label: str, count: int) -> Panel:
     """Return quantiles of penetrations, as long as half of the cases last, and some of these.
 
-    Parameters
-    ----------
-    lines : times and penetrations of cases, which are some or all of ``count``.
+    Lines are times and penetrations of some or all of so many cases.
     """
     last = max(time[-1] for time, _ in lines) * (1.0 - 1e-9)  # all but round-off
     time = np.linspace(0.0, last, _TIMES)
@@ -310,18 +307,14 @@ def raw_words(text: str) -> str:
     return in_words(parse_value(text)) if text else "none"
 
 
-def _words(key: Factor) -> list[str]:
-    """Return a key's value in each case, as short as its values stay apart."""
-    if key.texts:
-        return [raw_words(key.texts[int(number)]) for number in key.values]
-    count, words = len(np.unique(key.values)), list[str]()
-    for digits in range(3, 18):
-        words = [number_text(value, digits) for value in key.values]
-        if len(set(words)) == count:
-            break
-    return words
-
-
 def _names(keys: Sequence[Factor]) -> list[str]:
-    """Return the values of some keys in each case."""
-    return [", ".join(row) for row in zip(*map(_words, keys), strict=True)]
+    """Return the values of some keys in each case, as short as those of a key stay apart."""
+
+    def words(key: Factor) -> list[str]:
+        if key.texts:
+            return [raw_words(key.texts[int(number)]) for number in key.values]
+        count = len(np.unique(key.values))
+        every = ([number_text(value, digits) for value in key.values] for digits in range(3, 18))
+        return next((texts for texts in every if len({*texts}) == count), [*map(str, key.values)])
+
+    return [", ".join(row) for row in zip(*map(words, keys), strict=True)]

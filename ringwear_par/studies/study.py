@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.keys import naming
+from ringwear_par.cases.files.keys import naming, override
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
@@ -28,14 +28,7 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import read_text, toml_value
 from ringwear_par.history.refusals import check_memory, check_mesh
-from ringwear_par.studies.variations import (
-    cell,
-    mapped,
-    read_draft,
-    split_key,
-    value_of,
-    varied_keys,
-)
+from ringwear_par.studies.variations import cell, mapped, read_draft, split_key, value_of
 from ringwear_par.version import __version__
 
 #: values of a key that are checked one by one, beside the last
@@ -108,7 +101,7 @@ class Study:
 
     def keys(self, row: Sequence[Any]) -> dict[str, Any]:
         """Return the dotted keys and raw values of a case with a row of values."""
-        return varied_keys(self.base, self.columns, row)
+        return override(self.base, dict(zip(self.columns, row, strict=True)))
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""

@@ -138,7 +138,7 @@ def _prepared(
             stored = [*folder.glob(f"{FOLDER}/*.h5")]
             if results.exists() or (stored and not there(blocks)):
                 raise InputError(f"{folder}: holds cases of another study; must be a new folder")
-        for block in (block for block in blocks if retry and _has_failed(block)):
+        for block in filter(_has_failed, blocks if retry else []):
             block.path.unlink()
             results.unlink(missing_ok=True)
         if not merged or not results.exists():
@@ -166,10 +166,10 @@ def _complete(work: _Work, say: Callable[[Summary], None] | None = None) -> Summ
     ------
     InputError, ComputationError : a block cannot be read, the disk; cases failed.
     """
-    computed, started, blocks = 0, time.perf_counter(), work.blocks
+    count, started, blocks = 0, time.perf_counter(), work.blocks
     try:
         while not on_first_rank(work.comm, lambda: _merge(work)):
-            computed += _compute(work)
+            count += _compute(work)
     except InputError:
         raise
     except (KeyboardInterrupt, RingwearError) as end:
@@ -180,7 +180,7 @@ def _complete(work: _Work, say: Callable[[Summary], None] | None = None) -> Summ
         with together(work.comm):
             raise ComputationError(sentence) from end
     seconds = time.perf_counter() - started
-    summary = on_first_rank(work.comm, lambda: _summary(work, computed, seconds))
+    summary = on_first_rank(work.comm, lambda: _summary(work, count, seconds))
     if say is not None:
         say(summary)
     if summary.failed:
@@ -198,19 +198,19 @@ def _compute(work: _Work) -> int:
     comm, blocks, ranks = work.comm, work.blocks, work.ranks_per_case
     team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
     pairs: dict[Hashable, ContactPair] = {}
-    computed, before, started = 0, there(blocks), time.perf_counter()
+    cases, before, started = 0, there(blocks), time.perf_counter()
     bar: Any = closing(Progress(len(blocks), before)) if comm.rank == 0 else nullcontext()
     with together(comm), closing(free_blocks(blocks, share, shares)) as free, bar as progress:
         while (block := on_first_rank(team, lambda: next(free, None))) is not None:
             _compute_block(work.study, block, pairs, team)
-            computed += len(block.numbers) * (team.rank == 0)
+            cases += len(block.numbers) * (team.rank == 0)
             if progress is not None and progress.is_due():
                 done, count = there(blocks), len(blocks)
                 pace = (time.perf_counter() - started) / max(done - before, 1)
                 left = duration((count - done) * pace)
                 progress.show(done, "%d of %d blocks are there, %s left", done, count, left)
     team.Free()
-    return comm.allreduce(computed)
+    return comm.allreduce(cases)
 
 
 def _compute_block(
@@ -218,15 +218,13 @@ def _compute_block(
 ) -> None:
     """Compute a block's cases and store them, failed ones with their reasons. Collective on comm.
 
-    Parameters
-    ----------
-    pairs : contact pairs of the block before, whose places those of this one take.
+    Contact pairs are those of the block before, and then those of this one.
     """
     for key in [*pairs][:-1]:  # which blocks that follow may share
         del pairs[key]
     cases = study.cases_of(block.numbers)
     parts, errors = computed(cases, pairs, comm)
-    histories = [(np.array(part.numbers), part.columns) for part in parts]
+    histories = [(np.array(p.numbers), p.recorder.columns(p.failures)) for p in parts]
 
     def store() -> None:
         about = {"case": study.ids(block.numbers), "number": block.numbers}

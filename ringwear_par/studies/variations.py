@@ -4,7 +4,7 @@ import csv
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.key_values import unknown_key
-from ringwear_par.cases.files.keys import base_keys, in_full, kinds, override, source_tables
+from ringwear_par.cases.files.keys import base_keys, in_full, kinds, source_tables
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
 from ringwear_par.cases.tables import Key, TableReader, keys_of_table
@@ -153,22 +153,6 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     return value[index] if isinstance(value, list | tuple) and len(value) > index else None
 
 
-def varied_keys(
-    base: Mapping[str, Any], names: Iterable[str], row: Iterable[Any]
-) -> dict[str, Any]:
-    """Return the dotted keys of a case: those of the base, with a row of values of varied keys."""
-    changed: dict[str, Any] = {}
-    for name, value in zip(names, row, strict=True):
-        path, index = split_key(name)
-        if isinstance(index, int):
-            before = changed.get(path, base.get(path))
-            changed[path] = [*before] if isinstance(before, list) else [None, None]
-            changed[path][index : index + 1] = [value]
-        else:
-            changed[name] = value
-    return override(base, changed)
-
-
 def is_whole(value: Any) -> bool:
     """Tell whether a value is a whole number, which true and false are not."""
     return isinstance(value, int) and not isinstance(value, bool)
@@ -265,7 +249,7 @@ def _variation(key: str, entry: Any, in_grid: bool, folder: Path) -> Variation:
 
 def _in_full(name: str, folder: Path, value: Any) -> Any:
     """Return a raw value, names of files in it in full: they are relative to the study."""
-    (complete,) = in_full({_PAIR.sub(r"\1", name): value}, folder).values()
+    (complete,) = in_full({name: value}, folder).values()
     return complete
 
 

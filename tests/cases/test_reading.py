@@ -103,6 +103,7 @@ def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
         (TEXT, ["time.scheme=adaptive", "time.end=20"], BOTH.replace("step", "# step")),
         (ADAPTIVE, ["time.end=20"], BOTH.replace("step", "# step")),
         (BOTH.replace("step", "# step"), ["time.step=1.0", "time.steps=200"], ADAPTIVE),
+        (TEXT, ["upper.r[1]=3.2 cm"], TEXT.replace("31.5", "32")),
         # what the file says for the other scheme, geometry or output goes
         (BOTH + "tolerance = 1e-5\n", ["time.scheme=implicit"], TEXT),
         (TEXT + '[mesh]\ngeometry = "updated"\ngeometry_tolerance = 0.01\n',

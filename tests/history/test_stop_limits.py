@@ -61,5 +61,5 @@ def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, time):
 def test_a_sweep_flags_cases_that_a_limit_ended(comm):
     case = rw.read_case(PAPER, {**SMALL, **FIXED})
     cases = [case.replace({"stop.energy": limit}) for limit in (9e6, 1e12)]
-    flags = [block.columns.flags for block in computed(cases, {}, comm)[0]]
+    flags = [b.recorder.columns(b.failures).flags for b in computed(cases, {}, comm)[0]]
     assert flags == [(("stopped_by_energy",), ())]

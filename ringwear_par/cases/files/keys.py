@@ -316,7 +316,7 @@ def _value_in_full(path: str, value: Any, folder: Path) -> Any:
         return _face_in_full(path, value, folder)
     if path in LAYERS:
         return layers_in_full(path, value)
-    key = key_of(path)
+    key = key_of(path) or BY_PATH.get(path.removesuffix("[0]").removesuffix("[1]"))
     if isinstance(value, str | list | dict) and key is not None:
         try:
             return key.without_units(value)
@@ -331,7 +331,7 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     A new load takes the place of the old one, as do other keys that exclude each other; keys that
     had a meaning and have none any more (of another law, scheme or geometry) go. None takes a key
     away, or all keys of a table. ``wear.lower.parameters.NAME`` is one entry of that table, as are
-    ``upper.profile.crown`` and ``lower.layers[0].wear.k``.
+    ``upper.profile.crown``, ``upper.r[1]`` and ``lower.layers[0].wear.k``.
 
     Raises
     ------
@@ -366,8 +366,16 @@ def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     """Return changes of which those of single parameters are one of their whole table.
 
     So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
+    A number of a pair, ``upper.r[1]``, is a change of the pair.
     """
     changes = dict(changes)
+    for path in [path for path in changes if path.endswith(("[0]", "[1]"))]:
+        table = path[:-3]
+        if table in BY_PATH and BY_PATH[table].kind == "pair":
+            before = changes.get(table, keys.get(table))
+            pair = [*before] if isinstance(before, list) and len(before) == 2 else [None, None]
+            pair[int(path[-2])] = changes.pop(path)
+            changes[table] = pair
     for table in (*_PARAMETERS, *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
