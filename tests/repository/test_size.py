@@ -20,7 +20,7 @@ ROOMS = {
     "cases schedules.py errors.py": 5277,
     "files": 1225,
     "measuring": 2512,
-    "results": 2614,
+    "results": 2610,
     "studies": 3080,
     "identification": 7460,
     "prediction monitoring": 1477,
