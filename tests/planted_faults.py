@@ -127,7 +127,7 @@ FAULTS = [
           "rows = before.step % case.output.every == 0", "rows = before.step >= 0",
           "results/test_run.py -k lengthened"),
     Fault("edges stored backwards", "results/files.py", "else item[()]",
-          'else item[::-1] if name == "edges" else item[()]',
+          'else item[::-1] if place == "line/edges" else item[()]',
           "results/test_result.py::test_saved_and_opened_it_is_the_same"),
     # sweeps
     Fault("merging permutes cases", "studies/results_file.py",

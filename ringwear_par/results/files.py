@@ -246,5 +246,6 @@ def read_checkpoint(contents: IntArray) -> Checkpoint:
     """Return the checkpoint of these bytes; any exception means damage."""
     record = np.load(io.BytesIO(contents.tobytes()), allow_pickle=False)
     arrays = {name: record[name] for name in record.dtype.names}
-    worst = {n.removeprefix(_WORST): v for n, v in arrays.items() if n.startswith(_WORST)}
-    return Checkpoint(State(**{n: arrays[n] for n in arrays if not n.startswith(_WORST)}), worst)
+    state = {name: values for name, values in arrays.items() if not name.startswith(_WORST)}
+    worst = {n.removeprefix(_WORST): v for n, v in arrays.items() if n not in state}
+    return Checkpoint(State(**state), worst)

@@ -14,7 +14,6 @@ from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.cases.schema import STOP_CRITERIA
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning, reason_of
-from ringwear_par.history.block import Block
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS, Worst
 from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import STOP, Instant
@@ -321,17 +320,12 @@ class Recorder:
             numbers |= {name: np.where(stored, of, np.nan) for name, of in of_ends.items()}
         return numbers
 
-    def _end(self, number: int) -> tuple[Block, State]:
-        """Return the last state of a history, as of a block of one."""
-        assert self.last is not None
-        instant, place = self._ended.get(number, (self.last, 0))
-        return take((instant.block, instant.state), np.array([place]))
-
     def _limits(self, number: int) -> dict[str, str]:
         """Return the limits that ended a history before its time, in words by criterion."""
         if number not in self._ended or not self._ended[number][0].block.stop:
             return {}
-        block, state = self._end(number)
+        instant, place = self._ended[number]
+        block, state = take((instant.block, instant.state), np.array([place]))
         return {
             name: f"stop.{name} = {most[0]:g} {STOP_CRITERIA[name].unit}"
             for name, most in block.stop.items()
@@ -373,16 +367,18 @@ class Recorder:
                     of.pop(f"mass_lost_{BODIES[body]}", None)
             of |= {**self._stresses.arrays(i), **self._boundaries.arrays()}
             worst = {name: values[:, i] for name, values in self._worst.measures.items()}
-            about = self._attributes(i, warnings, error)
-            results.append(Result(of, about, Checkpoint(self._end(i)[1], worst)))
+            assert self.last is not None
+            instant, place = self._ended.get(i, (self.last, 0))
+            state = take(instant.state, np.array([place]))
+            about = self._attributes(i, state, warnings) | {"error": error}
+            results.append(Result(of, about, Checkpoint(state, worst)))
         return results
 
     def _attributes(
-        self, number: int, warnings: Sequence[ValidityWarning], error: str
+        self, number: int, state: State, warnings: Sequence[ValidityWarning]
     ) -> dict[str, Any]:
-        """Return the attributes of a history."""
-        case, (block, state) = self._cases[number], self._end(number)
-        balances = self._worst.balances(number)
+        """Return the attributes of a history and its last state."""
+        case, balances = self._cases[number], self._worst.balances(number)
         if not case.time.adaptive:  # nothing is known of the errors of fixed steps
             del balances["step_error"]
         limits, through = self._limits(number), times_through(case, state.through[0])
@@ -391,18 +387,17 @@ class Recorder:
             **({"stopped_by": " and ".join(limits.values())} if limits else {}),
             **{name: float(time) for name, time in through.items()},
             "status": "complete" if number in self._ended else "incomplete",
-            "error": error,
             "ranks": self._comm.size,
-            **self._seconds(block),
+            **self._seconds(),
             **{f"{BALANCE}{name}": value for name, value in balances.items()},
             "symmetry_defect": float(self._worst.measures["asymmetry"][0, number]),
             "doubts": json.dumps([warning.to_dict() for warning in warnings]),
         }
 
-    def _seconds(self, block: Block) -> dict[str, float]:
+    def _seconds(self) -> dict[str, float]:
         """Return the wall times so far by attribute, s: of several histories, those of one."""
         assert self.last is not None
-        pair, following = block.line.pairs[0], self.last.following
+        pair, following = self.last.block.line.pairs[0], self.last.following
         elastic = np.zeros(2) if self._pair_is_shared else pair.seconds
         elastic = elastic if following is None else elastic + following.seconds
         stepping = self._stepping / len(self._cases) - self.seconds_output - elastic.sum()
