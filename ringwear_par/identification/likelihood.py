@@ -79,24 +79,20 @@ class TestLikelihood:
         """Return data less readings (P, n) of the model, as a part has them, (n of the part, P)."""
         return noise.data(self.data[noise.rows])[:, None] - readings.T[noise.rows]
 
-    def _squares(self, readings: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return squares and log p (K, P) of each part at its growth times, see ``by_node``."""
-        every = [noise.squares(self._rows(noise, readings)) for noise in self.noises]
-        logs = [
-            n.log_constants[:, None] + n.density(s) for n, s in zip(self.noises, every, strict=True)
-        ]
-        return list(zip(every, logs, strict=True))
+    def _squares(self, readings: FloatArray) -> list[FloatArray]:
+        """Return sums of squares (K, P) of each part at its growth times, see ``by_node``."""
+        return [noise.squares(self._rows(noise, readings)) for noise in self.noises]
 
     def by_node(self, readings: FloatArray) -> list[FloatArray]:
         """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
-        return [logs for _, logs in self._squares(readings)]
+        every = zip(self.noises, self._squares(readings), strict=True)
+        return [noise.log_constants[:, None] + noise.density(squares) for noise, squares in every]
 
     def least_squares(self, readings: FloatArray) -> FloatArray:
         """Return sums of squares (parts, P), those of priors too, at the likeliest growth times."""
+        every = zip(self._squares(readings), self.by_node(readings), strict=True)
         at = np.arange(len(readings))
-        return np.array(
-            [squares[logs.argmax(axis=0), at] for squares, logs in self._squares(readings)]
-        )
+        return np.array([squares[logs.argmax(axis=0), at] for squares, logs in every])
 
     def __call__(self, readings: FloatArray) -> FloatArray:
         """Return log p (P,) by readings (P, n) of the model."""

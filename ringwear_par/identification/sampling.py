@@ -24,13 +24,6 @@ _KEPT = 20_000
 _EVIDENCE_DRAWS = 8192
 
 
-def standardised(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return draws (s, d) less their mean, over their sd, and their longest direction (d,)."""
-    spread = draws.std(axis=0)
-    scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    return scaled, np.linalg.eigh(scaled.T @ scaled)[1][:, -1]
-
-
 def _nearby(draws: FloatArray, seed: int) -> Any:
     """Return a t distribution, a little wider than draws (s, d)."""
     covariance = 1.4 * np.cov(draws.T).reshape(draws.shape[1], -1)

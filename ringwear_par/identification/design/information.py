@@ -30,7 +30,6 @@ from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, prior_sd
 from ringwear_par.identification.noise import STUDENT, Noise, Setting
-from ringwear_par.identification.sampling import standardised
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.results.key_numbers import time_words
 
@@ -179,7 +178,9 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
     # few draws stand for all, at equal steps of their longest axis: where a posterior bends,
     # readings at its mean alone would promise too much
     material = np.clip(material, *problem.unknown_bounds)
-    scaled, longest = standardised(material)
+    spread = material.std(axis=0)
+    scaled = (material - material.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    longest = np.linalg.eigh(scaled.T @ scaled)[1][:, -1]
     places = (2 * np.arange(_DRAWS) + 1) * len(material) // (2 * _DRAWS)
     chosen = material[np.argsort(scaled @ longest, kind="stable")[places]]
     return Before(at, slopes, chosen, covariance, vague, scatter, np.array(sizes, dtype=float))
