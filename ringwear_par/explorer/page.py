@@ -21,7 +21,7 @@ from bokeh.models import (
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.keys import override, read_keys
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import ComputationError, InputError
@@ -35,7 +35,6 @@ from ringwear_par.reports.run_page import answers, run_page
 from ringwear_par.results.key_numbers import key_numbers, time_words
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.many import simulate_all
-from ringwear_par.studies.variations import varied_keys
 
 #: about how many states of fixed steps are kept: more would not be seen
 _STATES = 400
@@ -79,7 +78,7 @@ class Explorer:
         """Compute the history of the present numbers, and draw it; else say why it cannot be."""
         self._computing = None
         try:
-            keys = varied_keys(self._keys, self.moved, map(_raw, self.moved.values()))
+            keys = override(self._keys, {name: _raw(number) for name, number in self.moved.items()})
             case = make_case(keys, self._name)
             check_case(case, 1, self._name)
             self.case, self.result = case, self._history(case)

@@ -202,7 +202,7 @@ class Readings:
         self._pairs = {key: pair for key, pair in self._pairs.items() if key in used}
         rows: list[Row] = [reason_of(failed[i]) if i in failed else "" for i in range(len(cases))]
         for part in parts:
-            columns, of_part = part.columns, np.array(part.numbers)
+            columns, of_part = part.recorder.columns(part.failures), np.array(part.numbers)
             for number, reason in zip(part.numbers, columns.reason, strict=True):
                 rows[number] = reason
             done = np.flatnonzero(np.array(columns.status) == "done")
