@@ -70,8 +70,7 @@ class Outcome:
             picture, size = self.plot()._repr_png_()  # type: ignore[attr-defined]
             address = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
             drawn = f'<img src="{address}" width="{size["width"]}" alt="its figure">'
-        words = f'<pre style="white-space: pre-wrap">{escape(with_signs(text))}</pre>'
-        return f"<div>{words}{drawn}</div>"
+        return f'<pre style="white-space: pre-wrap">{escape(with_signs(text))}</pre>{drawn}'
 
 
 class Checkpoint(NamedTuple):

@@ -72,10 +72,9 @@ class Study:
         units, table = self.units(), "<table><tr><th>key<th>values<th>unit"
         for name, column in self.columns.items():
             values = dict.fromkeys(f"{v:.4g}" if is_number(v) else str(v) for v in column.tolist())
-            words = escape(legible(", ".join(values), 100))
-            table += f"<tr><td>{escape(name)}<td>{words}<td>{units[name]}"
-        table += "</table>"
-        return f"<div><pre>{escape(repr(self))}</pre>{table}{self.case(0)._repr_html_()}</div>"
+            words = legible(", ".join(values), 100)
+            table += f"<tr><td>{escape(name)}<td>{escape(words)}<td>{units[name]}"
+        return f"<pre>{escape(repr(self))}</pre>{table}</table>{self.case(0)._repr_html_()}"
 
     def units(self) -> dict[str, str]:
         """Return the units of the varied keys under the laws of the cases, "" for none."""
