@@ -25,8 +25,11 @@ from ringwear_par.identification.definition.problem import (
 )
 from ringwear_par.identification.likelihood import LOG_SHARES, EmulatedLikelihood
 
-#: degrees of freedom of half-t priors of sizes
+#: degrees of freedom of half-t priors of sizes, and the logarithm of their density at 0
 _DEGREES = 4.0
+_HALF_T = float(np.log(2.0) + gammaln(2.5) - gammaln(2.0) - 0.5 * np.log(4.0 * np.pi))
+#: logarithm of the density of a normal distribution of sd 1 at its mean
+_NORMAL = -0.5 * float(np.log(2.0 * np.pi))
 #: logarithms of taus are no farther from those of the scales of their priors
 _FAR = 10.0
 #: share of the variance that keeps covariances of groups regular where one level vanishes
@@ -52,10 +55,10 @@ class Size:
         return size
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the log density (...) of its logarithm, but for a constant."""
+        """Return the log density (...) of its logarithm."""
         log = theta[..., self.place]
-        square = np.exp(2.0 * log) / self.scale**2
-        logs = log - np.log(self.scale) - 0.5 * (_DEGREES + 1.0) * np.log1p(square / _DEGREES)
+        square, volume = np.exp(2.0 * log) / self.scale**2, log - np.log(self.scale)
+        logs = _HALF_T + volume - 0.5 * (_DEGREES + 1.0) * np.log1p(square / _DEGREES)
         return np.where((log > self.limits[0]) & (log < self.limits[1]), logs, -np.inf)
 
 
@@ -100,17 +103,16 @@ class Scattering:
             mean = (a * b).sum(axis=-1) / precision
             rest = np.square(a).sum(axis=-1) - mean**2 * precision
             volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-        logs = volume - 0.5 * rest - 0.5 * np.log(precision)
-        if self.prior is not None:
-            at, sd = self.prior
-            variance = 1.0 / precision + sd**2
-            logs = logs - 0.5 * (mean - at) ** 2 / variance - 0.5 * np.log(variance)
-            both = precision + sd**-2
-            mean, precision = (precision * mean + at / sd**2) / both, both
-        return mean, precision**-0.5, logs
+        logs = _NORMAL * (x.shape[-1] - 1) + volume - 0.5 * rest - 0.5 * np.log(precision)
+        if self.prior is None:
+            return mean, precision**-0.5, logs - np.log(self.bounds[1] - self.bounds[0])
+        at, sd = self.prior
+        variance, both = 1.0 / precision + sd**2, precision + sd**-2
+        logs = logs + _NORMAL - 0.5 * (mean - at) ** 2 / variance - 0.5 * np.log(variance)
+        return (precision * mean + at / sd**2) / both, both**-0.5, logs
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the log density (...) of the groups' values, but for a constant."""
+        """Return the log density (...) of the groups' values."""
         mean, sd, logs = self.material(theta)
         low, high = ((end - mean) / sd for end in self.bounds)
         inside = np.exp(log_ndtr(high)) - np.exp(log_ndtr(low))
@@ -232,31 +234,26 @@ class Posterior:
     # -- probability -------------------------------------------------------------------------------
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the log density of the prior of theta (..., d), but for a constant."""
+        """Return the log density (...) of the prior of theta (..., d).
+
+        Its integral is 1 but for the ends of normal priors beyond bounds.
+        """
         logs = np.zeros(theta.shape[:-1])
         for place, j in enumerate(self.shared):
-            x, p = theta[..., place], self.problem.parameters[j]
-            logs = np.where((x >= self.low[j]) & (x <= self.high[j]), logs, -np.inf)
+            x, (low, high), p = (
+                theta[..., place],
+                (self.low[j], self.high[j]),
+                self.problem.parameters[j],
+            )
+            density = -np.log(high - low)
             if p.prior is not None:
-                value = np.exp(x) if p.log else x
-                logs = logs - 0.5 * ((value - p.prior.mean) / p.prior.sd) ** 2 + x * p.log
+                value, (mean, sd) = np.exp(x) if p.log else x, p.prior
+                density = _NORMAL - np.log(sd) - 0.5 * ((value - mean) / sd) ** 2 + x * p.log
+            logs = logs + np.where((x >= low) & (x <= high), density, -np.inf)
         parts: list[Size | Scattering] = [*self.sizes, *self.scatterings]
         for part in parts:
             logs = logs + part.log_prior(theta)
         return logs
-
-    @property
-    def log_constant(self) -> float:
-        """Logarithm of what makes the integral of the prior 1, but for ends of normal ones."""
-        constant, normal = 0.0, -0.5 * np.log(2.0 * np.pi)
-        for j, parameter in enumerate(self.problem.parameters):
-            if parameter.prior is None:
-                constant -= np.log(self.high[j] - self.low[j])
-            else:  # with scatter the sd is in ``Scattering.material``
-                constant += normal - np.log(parameter.prior.sd) * (parameter.scatter is None)
-        half_t = gammaln(0.5 * (_DEGREES + 1.0)) - gammaln(0.5 * _DEGREES)
-        constant += len(self.sizes) * (np.log(2.0) + half_t - 0.5 * np.log(_DEGREES * np.pi))
-        return float(constant + normal * sum(len(s.same[0]) - 1 for s in self.scatterings))
 
     def of_readings(self, theta: FloatArray) -> FloatArray:
         """Return log likelihoods (s,) at theta (s, d)."""

@@ -245,8 +245,7 @@ class _Search:
         middle = np.median(posterior.of_tests(self._draws), axis=0)
         return Solution(
             problem, posterior, self._draws, self.effective,
-            mode(posterior, self._draws, self._density),
-            evidence + posterior.log_constant, evidence_error,
+            mode(posterior, self._draws, self._density), evidence, evidence_error,
             random_wear(readings, middle)[1], self._error, self._step_error,
             readings.steps, readings.count, readings.failed, readings.reason,
         )  # fmt: skip
