@@ -146,8 +146,9 @@ def of_tests(
     if not found:
         return []
     # one that scatters makes the others look as if they did
-    _, key, p, worst = max(found, key=lambda one: one[0])
-    return [Check(f"tests agree on {key}: probability", p, _NO_CHANCE, worst is None, worst)]
+    _, key, p, failure = max(found, key=lambda one: one[0])
+    name = f"tests agree on {key}: probability"
+    return [Check(name, p, _NO_CHANCE, failure is None, failure)]
 
 
 def heterogeneity(
