@@ -39,10 +39,10 @@ def _mapped(function: Callable[..., Any], first: Any, *others: Any) -> Any:
         return tuple(_mapped(function, *values) for values in zip(first, *others, strict=True))
     if is_dataclass(first) and not isinstance(first, type) and not getattr(first, "shared", False):
         changes = {}
-        for field in fields(first):
+        for field in (field for field in fields(first) if field.init):
             value = getattr(first, field.name)
             new = _mapped(function, value, *(getattr(other, field.name) for other in others))
-            if new is not value and field.init:
+            if new is not value:
                 changes[field.name] = new
         return replace(first, **changes)
     return first

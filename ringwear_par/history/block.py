@@ -1,6 +1,6 @@
 """A block of B histories on one contact line: what their cases give them, as arrays."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -95,7 +95,7 @@ class Block:
             line=line,
             compliance=Compliance.of(line, pair, softness),
             number=np.arange(len(cases)),
-            gap=np.array(of_faces(cases, lambda c: c.initial_gap)),
+            gap=_gaps(cases),
             load=Schedules.of([0.0 if load is None else load for load in loads]),
             by_force=by_force,
             omega=Schedules.of([c.load.omega for c in cases]),
@@ -188,16 +188,14 @@ def block_key(case: Case) -> Hashable:
     return case.time.scheme, case.load.force is not None, laws, elements, layers, *stored, alone
 
 
-def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
-    """Return a number of each case that depends on its unworn faces alone, once for equal ones."""
-    known: dict[Hashable, Any] = {}
-    numbers = []
-    for case in cases:
-        key = (*((ring.r, ring.z, ring.face) for ring in case.rings), case.mesh.contact)
+def _gaps(cases: Sequence[Case]) -> FloatArray:
+    """Return the gaps of the unworn faces, (B, n) mm, worked out once for equal faces."""
+    known: dict[Hashable, FloatArray] = {}
+    keys = [(*((ring.r, ring.z, ring.face) for ring in c.rings), c.mesh.contact) for c in cases]
+    for key, case in zip(keys, cases, strict=True):
         if key not in known:
-            known[key] = number(case)
-        numbers.append(known[key])
-    return numbers
+            known[key] = case.initial_gap
+    return np.array([known[key] for key in keys])
 
 
 def _limits(case: Case) -> list[float]:

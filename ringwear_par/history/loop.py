@@ -6,6 +6,7 @@ shorter one in the next round, while the others go on. What fails is a mask, wit
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -101,78 +102,68 @@ def simulate(
     first : where an interrupted history continues; None: they start.
     following : elements that follow the wear, of a block of one.
     """
-    if block.is_local and following is None and not tao:
-        return _advance(block, save, None, first, None, every, comm)
     # rows of small systems are not worth messages
     own = comm if len(block.line.r) >= SHARED else MPI.COMM_SELF
-    with TaoContact(block.compliance, block.by_force, own) as solver:
-        return _advance(block, save, solver, first, following, every, comm)
+    needed = tao or following is not None or not block.is_local
+    with TaoContact(block.compliance, block.by_force, own) if needed else nullcontext() as by_tao:
+        scheme = BY_NAME[block.cases.every[0].time.scheme]
+        failures: dict[int, Exception] = {}
+        state, going = first, np.ones(len(block), bool)
+        if state is None:
+            state, failures = _start(block, _solver(block, by_tao), comm)
+            going[list(failures)] = False
+            if going.any() and save(_instant(block, state, going, going, ~going, following)):
+                return failures
+        limit = (block.limits <= state.time[:, None]).sum(axis=1)
+        going &= limit < block.limits.shape[1]
+        limit = np.minimum(limit, block.limits.shape[1] - 1)
+        while going.any():
+            if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
+                some = np.flatnonzero(going)
+                block, state, limit, going = take((block, state, limit, going), some)
+            if following is not None and by_tao is not None:
+                block, state = following.follow(block, by_tao, state)
+            rows, solver = np.arange(len(block)), _solver(block, by_tao)
+            if block.paces is not None:
+                block = replace(block, pace=block.paces[:, rows, limit, None])
+            end, is_cut = next_ends(block, state, limit, going)
+            step = scheme(block, solver, state, end)
+            if block.layered:
+                step = enter_layers(block, state, step)
+            step, before = replace(step, failed=on_any_rank(comm, step.failed)), state
+            # ranks may differ by round-off, or by their processor: all take the first one's
+            accepted, stuck, state = as_on_first_rank(
+                comm, judge(block, state, step, is_cut, going)
+            )
+            if block.layered and (entered := state.layer != before.layer).any():
+                new, lost = settled(block, solver, state)
+                state = choose(entered.any(axis=(0, 2)) & ~lost, new, state)
+            off = accepted & _is_off(block, state)
+            for row in np.flatnonzero(stuck | off).tolist():
+                failures[int(block.number[row])] = (
+                    step_failure(block, state, step, row, comm) if stuck[row]
+                    else deep_wear_failure(block, state, row)
+                )  # fmt: skip
+            passed = accepted & (state.time >= block.limits[rows, limit])
+            done = passed if block.given_steps else accepted
+            state = replace(state, steps=state.steps + done)
+            ended = accepted & ~off & (state.time >= block.limits[:, -1])
+            for name, most in block.stop.items():
+                ended |= done & ~off & (STOP[name](block, state) >= most)
+            due = (passed & block.stored[rows, limit]) | (done & _is_due(block, state))
+            stored = ended | (due & ~off)
+            going = going & ~(ended | stuck | off)
+            shown = done & ~off if every else stored
+            if shown.any() and save(_instant(block, state, shown, stored, ended, following)):
+                break
+            limit = limit + (passed & going)
+    return failures
 
 
 def _solver(block: Block, tao: TaoContact | None) -> Solver:
     if tao is not None:
         return tao.with_compliance(block.compliance)
     return BlockSolver(block.compliance, block.by_force, _GAP * block.tolerance)
-
-
-def _advance(
-    block: Block,
-    save: Save,
-    tao: TaoContact | None,
-    first: State | None,
-    following: Following | None,
-    every: bool,
-    comm: MPI.Comm,
-) -> dict[int, Exception]:
-    """Advance histories as ``simulate`` does, by a solver of TAO's or of blocks."""
-    scheme = BY_NAME[block.cases.every[0].time.scheme]
-    failures: dict[int, Exception] = {}
-    state, going = first, np.ones(len(block), bool)
-    if state is None:
-        state, failures = _start(block, _solver(block, tao), comm)
-        going[list(failures)] = False
-        if going.any() and save(_instant(block, state, going, going, ~going, following)):
-            return failures
-    limit = (block.limits <= state.time[:, None]).sum(axis=1)
-    going &= limit < block.limits.shape[1]
-    limit = np.minimum(limit, block.limits.shape[1] - 1)
-    while going.any():
-        if np.count_nonzero(going) < (1.0 - _IDLE) * len(block):
-            block, state, limit, going = take((block, state, limit, going), np.flatnonzero(going))
-        if following is not None and tao is not None:
-            block, state = following.follow(block, tao, state)
-        rows, solver = np.arange(len(block)), _solver(block, tao)
-        if block.paces is not None:
-            block = replace(block, pace=block.paces[:, rows, limit, None])
-        end, is_cut = next_ends(block, state, limit, going)
-        step = scheme(block, solver, state, end)
-        if block.layered:
-            step = enter_layers(block, state, step)
-        step, before = replace(step, failed=on_any_rank(comm, step.failed)), state
-        # ranks may differ by round-off, or by their processor: all go on with the first one's
-        accepted, stuck, state = as_on_first_rank(comm, judge(block, state, step, is_cut, going))
-        if block.layered and (entered := state.layer != before.layer).any():
-            new, failed = settled(block, solver, state)
-            state = choose(entered.any(axis=(0, 2)) & ~failed, new, state)
-        off = accepted & _is_off(block, state)
-        for row in np.flatnonzero(stuck).tolist():
-            failures[int(block.number[row])] = step_failure(block, state, step, row, comm)
-        for row in np.flatnonzero(off).tolist():
-            failures[int(block.number[row])] = deep_wear_failure(block, state, row)
-        passed = accepted & (state.time >= block.limits[rows, limit])
-        done = passed if block.given_steps else accepted
-        state = replace(state, steps=state.steps + done)
-        ended = accepted & (state.time >= block.limits[:, -1])
-        for name, most in block.stop.items():
-            ended |= done & (STOP[name](block, state) >= most)
-        stored = ended | (passed & block.stored[rows, limit]) | (done & _is_due(block, state))
-        ended, stored, done = ended & ~off, stored & ~off, done & ~off
-        going = going & ~(ended | stuck | off)
-        shown = done if every else stored
-        if shown.any() and save(_instant(block, state, shown, stored, ended, following)):
-            break
-        limit = limit + (passed & going)
-    return failures
 
 
 def _start(block: Block, solver: Solver, comm: MPI.Comm) -> tuple[State, dict[int, Exception]]:

@@ -1,15 +1,15 @@
 """Cases that are refused before anything is computed, for their memory or smallest lengths."""
 
-import math
 import os
 
 import numpy as np
 
-from ringwear_par.cases.case import Case, Ring
+from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.elasticity.bem.boundary import count_elements, zone_meshes
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
 
@@ -29,24 +29,21 @@ def memory_needed(case: Case, ranks: int) -> float:
     n = float(case.mesh.contact_elements)
     elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
     # two at each of two nodes an element; on the fixed face, n/2 elements, at one
-    unknowns = 4.0 * elements - n
+    systems = _numbers_of_systems(4.0 * elements - n, n, ranks)
     history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
+    # displacements of two nodes an element and its traction, of both bodies and n loads
+    responses = 2.0 * 9.0 * n * elements
     if case.output.boundary != "none":
-        # displacements of two nodes an element and its traction, of both bodies and n loads
-        shared += 2.0 * 9.0 * n * elements
+        shared += responses
         # what is stored of them; an element has six coordinates, six displacements and more
         rows = 1.0 if case.output.boundary == "last" else case.stored_rows
         history += 2.0 * 15.0 * elements * rows
     if case.stress is not None:
         kept_at, stored_at = stress_numbers(case)
-        # responses of both bodies, as for boundaries; six components for each load at each point
-        systems_of_stress = 6.0 * n * kept_at
-        shared += 2.0 * 9.0 * n * elements + stored_at
+        systems += 6.0 * n * kept_at  # six components for each load at each point
+        shared += responses + stored_at
         history += 2.0 * stored_at
-    else:
-        systems_of_stress = 0.0
-    systems = _numbers_of_systems(unknowns, n, ranks)
-    return 8.0 * (systems + systems_of_stress + ranks * shared + history)
+    return 8.0 * (systems + ranks * shared + history)
 
 
 def stress_numbers(case: Case) -> tuple[float, float]:
@@ -95,33 +92,16 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
 
     Raises
     ------
-    InputError : all faults, one sentence each.
+    InputError : the faults of its numbers, or of its laws, or its memory or mesh.
     """
-    faults: list[str] = []
-
-    def try_memory_and_mesh() -> None:
-        check_memory(case, ranks, name)  # first: a mesh takes memory as well
-        if not known_mesh:
-            check_mesh(case, name)
-
-    def try_numbers() -> None:
-        if case.rebuild is not None:
-            return  # they were checked when it was read
+    if case.rebuild is None:  # those of a case that was read were checked then
         if faults := number_faults(case, name):
             raise InputError(*faults)
         check_stress(name, case)
-
-    for check in (
-        try_numbers,
-        lambda: refuse_bad_laws(case, name),
-        try_memory_and_mesh,
-    ):
-        try:
-            check()
-        except InputError as error:
-            faults += error.faults
-    if faults:
-        raise InputError(*faults)
+    refuse_bad_laws(case, name)
+    check_memory(case, ranks, name)  # first: a mesh takes memory as well
+    if not known_mesh:
+        check_mesh(case, name)
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:
@@ -156,36 +136,27 @@ def check_mesh(case: Case, name: str) -> None:
     ------
     InputError : with the smallest length.
     """
-    for body, ring in zip(("lower", "upper"), case.rings, strict=True):
+    for body, ring in zip(BODIES, case.rings, strict=True):
         if 0.0 < ring.r[0] < 1e-13 * ring.r[1]:
             raise InputError(
                 f"{name}: {body}.r = [{ring.r[0]:g}, {ring.r[1]:g}]: the inner radius must be 0 or "
                 f"at least {1e-13 * ring.r[1]:.1e} mm"
             )
-        for i, zone in enumerate(
-            zone_meshes(case.section(ring), case.line, case.mesh, fine=case.stress is not None)
-        ):
+        fine = case.stress is not None
+        for i, zone in enumerate(zone_meshes(case.section(ring), case.line, case.mesh, fine=fine)):
             ends = zone.nodes[zone.elements]
             lengths = np.hypot(*(ends[:, 2] - ends[:, 0]).T)
             shortest, least = float(lengths.min()), 1e-11 * ring.r[1]
             if shortest >= least:
                 continue
-            subject = (
+            keys = (
                 f"mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
-                f"{case.mesh.contact_elements}: the shortest element of this geometry"
+                f"{case.mesh.contact_elements}"
             )
             if ring.layers and lengths.argmin() in [*zone.inner_side, *zone.outer_side]:
-                subject = _thin(body, ring, i)
+                thin = f"{body}.layers[{i}].thickness: is thin"
+                keys = thin if i < len(ring.layers) else f"{body}.layers: leave little of {body}"
             raise InputError(
-                f"{name}: {subject} is {shortest:.1e} mm; must be at least {least:.1e} mm"
+                f"{name}: {keys}: the shortest element is {shortest:.1e} mm; must be at least "
+                f"{least:.1e} mm"
             )
-
-
-def _thin(body: str, ring: Ring, i: int) -> str:
-    """Return the subject of the sentence on a layer, or a body under layers, that is too thin."""
-    if i < len(ring.layers):
-        keys = f"{body}.layers[{i}].thickness = {ring.layers[i].thickness:g}"
-    else:
-        left = ring.z[1] - ring.z[0] - math.fsum(layer.thickness for layer in ring.layers)
-        keys = f"{body}.layers: leave {left:.1e} mm of {body} itself"
-    return f"{keys}: the shortest element on its side"

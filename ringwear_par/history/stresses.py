@@ -7,7 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import SAME_TIME, Case, Side
+from ringwear_par.cases.case import SAME_TIME, Case, Side, Stress
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import MESH_FIELDS, mises
@@ -98,23 +98,30 @@ def stress_key(case: Case) -> Hashable:
     return operator_key(case), case.mesh, case.lower.z[1], case.upper.z[0], case.stress
 
 
-class CaseStresses:
-    """Stresses in lower and upper where a case asks for them, for it and all of its ``stress_key``.
+class Stresses:
+    """Stresses of the stored states that B cases ask for. Methods are collective on comm.
 
     Parameters
     ----------
-    case : one with [stress].
-    comm : communicator; ``at`` is collective.
+    cases : of one ``stress_key``, or without stresses.
+    points_only : keep no grids and no faces.
     """
 
-    def __init__(self, case: Case, comm: MPI.Comm) -> None:
-        assert case.stress is not None
-        grid = case.stress.grid
-        axes = grid.axes if grid is not None else (np.empty(0), np.empty(0))
-        points = np.array([point[:2] for point in case.stress.points]).reshape(-1, 2)
-        names = [side for _, _, side in case.stress.points]
-        self._of_points = np.array(point_bodies(case), int)
-        self._of_grid = grid_bodies(case)
+    def __init__(self, cases: Sequence[Case], comm: MPI.Comm, *, points_only: bool = False) -> None:
+        self._cases, self._points_only = cases, points_only
+        #: arrays of each state so far by name, of each history
+        self.states: list[list[dict[str, Any]]] = [[] for _ in cases]
+        #: why stresses of some histories could not be computed
+        self.failures: dict[int, Exception] = {}
+        if cases[0].stress is not None:
+            self._recover(cases[0], cases[0].stress, comm)
+
+    def _recover(self, case: Case, stress: Stress, comm: MPI.Comm) -> None:
+        """Have the recovery of the stresses at the points and on the grid of a case."""
+        axes = stress.grid.axes if stress.grid is not None else (np.empty(0), np.empty(0))
+        points = np.array([point[:2] for point in stress.points]).reshape(-1, 2)
+        names = [side for _, _, side in stress.points]
+        self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
         on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         sides = np.array([_SIDES[side] for side in names])
 
@@ -126,16 +133,48 @@ class CaseStresses:
             )
 
         boundaries = boundary_recovery(case, comm, fine=True)
-        self._recovery = StressRecovery(boundaries, (of(0), of(1)), case.stress.exclude)
+        self._recovery = StressRecovery(boundaries, (of(0), of(1)), stress.exclude)
         where: dict[str, Any] = {"grid_r": axes[0], "grid_z": axes[1]}
         for body, (r, z) in zip(BODIES, boundaries.interfaces(), strict=True):
             where |= {f"interface_r_{body}": r, f"interface_z_{body}": z}
         where |= {"point_r": points[:, 0], "point_z": points[:, 1], "point_side": names}
         #: arrays by name that are the same at all states, see ``results.variables``
-        self.where = _present({**where, "stress_exclude": np.array(case.stress.exclude)})
+        self._where = _present({**where, "stress_exclude": np.array(stress.exclude)})
 
-    def at(self, case: Case, moment: Moment) -> dict[str, Any]:
-        """Return the stresses of a state by name, see ``results.variables``. Collective on comm.
+    def __call__(
+        self, number: int, moment: Moment, last_stored: float
+    ) -> dict[str, tuple[float, ...]]:
+        """Compute the stresses of a stored state, if its case wants them.
+
+        Returns
+        -------
+        dict : the entries of ``INFINITE_STRESS`` and ``INFINITE_AT_INTERFACE``, where the largest
+            stress is beside such an edge.
+
+        Raises
+        ------
+        Exception : those of a single history cannot be computed.
+        """
+        case = self._cases[number]
+        if case.stress is None or number in self.failures:
+            return {}
+        if not selected(case.stress.times, moment, last_stored):
+            return {}
+        try:
+            state = self._at(case, moment)
+        except Exception as error:
+            if len(self._cases) == 1:
+                raise
+            self.failures[number] = error
+            return {}
+        infinite = _infinite(case, self._where, state, moment)
+        for name in _FIELDS if self._points_only else ():
+            state.pop(name, None)
+        self.states[number].append(state)
+        return infinite
+
+    def _at(self, case: Case, moment: Moment) -> dict[str, Any]:
+        """Return the stresses of a state by name, see ``results.variables``.
 
         Raises
         ------
@@ -162,72 +201,15 @@ class CaseStresses:
             }
         return _present({**state, "stress": points, "stress_grid": grid})
 
+    def arrays(self, number: int) -> dict[str, Any]:
+        """Return the stresses of a history so far by name, nothing where it has none."""
+        states = self.states[number]
+        return stacked(states) | self._where if states else {}
+
 
 def _present(arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arrays that hold something."""
     return {name: values for name, values in arrays.items() if np.size(values)}
-
-
-class Stresses:
-    """Stresses of the stored states that B cases ask for.
-
-    Parameters
-    ----------
-    cases : of one ``stress_key``, or without stresses.
-    comm : communicator; calls are collective.
-    points_only : keep no grids and no faces.
-    """
-
-    def __init__(
-        self,
-        cases: Sequence[Case],
-        comm: MPI.Comm,
-        *,
-        points_only: bool = False,
-    ) -> None:
-        self._cases, self._points_only = cases, points_only
-        self._of = None if cases[0].stress is None else CaseStresses(cases[0], comm)
-        #: arrays of each state so far by name, of each history
-        self.states: list[list[dict[str, Any]]] = [[] for _ in cases]
-        #: why stresses of some histories could not be computed
-        self.failures: dict[int, Exception] = {}
-
-    def __call__(
-        self, number: int, moment: Moment, last_stored: float
-    ) -> dict[str, tuple[float, ...]]:
-        """Compute the stresses of a stored state, if its case wants them.
-
-        Returns
-        -------
-        dict : the entries of ``INFINITE_STRESS`` and ``INFINITE_AT_INTERFACE``, where the largest
-            stress is beside such an edge.
-
-        Raises
-        ------
-        Exception : those of a single history cannot be computed.
-        """
-        case = self._cases[number]
-        if self._of is None or case.stress is None or number in self.failures:
-            return {}
-        if not selected(case.stress.times, moment, last_stored):
-            return {}
-        try:
-            state = self._of.at(case, moment)
-        except Exception as error:
-            if len(self._cases) == 1:
-                raise
-            self.failures[number] = error
-            return {}
-        infinite = _infinite(case, self._of.where, state, moment)
-        for name in _FIELDS if self._points_only else ():
-            state.pop(name, None)
-        self.states[number].append(state)
-        return infinite
-
-    def arrays(self, number: int) -> dict[str, Any]:
-        """Return the stresses of a history so far by name, nothing where it has none."""
-        states = self.states[number]
-        return stacked(states) | self._of.where if states and self._of is not None else {}
 
 
 def _infinite(

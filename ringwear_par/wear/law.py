@@ -47,7 +47,7 @@ class Law:
             return cls(kind, values)
         code = UserCode.of_file(values["file"])
         values |= {f"parameters.{name}": q for name, q in values.pop("parameters")}
-        return cls(kind, values, code)
+        return cls(replace(kind, formula=f"rate(p, at) of {code.called}"), values, code)
 
     @classmethod
     def of(cls, law: Any) -> "Law":
@@ -57,7 +57,9 @@ class Law:
         named = fields(law) if is_dataclass(law) and not isinstance(law, type) else ()
         values = {field.name: getattr(law, field.name) for field in named}
         numbers = {name: number for name, number in values.items() if isinstance(number, float)}
-        return cls(LAWS["user"], numbers, UserCode(type(law).__name__, law))
+        name = type(law).__name__
+        kind = replace(LAWS["user"], name=name, formula=f"{name}.rate(p, local)")
+        return cls(kind, numbers, UserCode(name, law))
 
     def __repr__(self) -> str:
         values = ", ".join(f"{k}={v!r}" for k, v in self.values.items() if v is not None)
@@ -66,9 +68,7 @@ class Law:
     @property
     def name(self) -> str:
         """Value of ``law`` in case files, or the class of a user's object."""
-        if self.code is None or self.code.is_file:
-            return self.kind.name
-        return self.code.called
+        return self.kind.name
 
     @property
     def length(self) -> float:
@@ -138,11 +138,11 @@ class Law:
     def ratio(self, friction: Quantity) -> float:
         """Return worn volume per dissipated energy, 1/MPa, 0 where it is not always the same."""
         k, low, high = self.values.get("k"), smallest(friction), largest(friction)
-        if not isinstance(k, float | int) or self.values.get("p0", 0.0) != 0.0:
+        if self.code or not isinstance(k, float | int) or self.values.get("p0", 0.0) != 0.0:
             return 0.0
-        if self.kind.name == "threshold":
+        if self.name == "threshold":
             return k
-        return k / low if self.kind.name == "archard" and 0.0 < low == high else 0.0
+        return k / low if self.name == "archard" and 0.0 < low == high else 0.0
 
     def unit(self, name: str) -> str:
         """Return the unit of a quantity, "1" where it is not declared."""
@@ -155,13 +155,12 @@ class Law:
             (x, y), count = self.values["table"][-1], len(self.values["table"])
             end = f"{y:.10g} mm/s at p V = {x:.10g} MPa mm/s"
             return f"{self.kind.formula}, {count} of them to {end}"
-        formula = self.kind.formula if self.code is None else self.code.formula
         parts = []
         for name, q in self.quantities.items():
             number = f"{q:.10g}" if isinstance(q, float | int) else quantity_text(q)
             unit = "" if self.unit(name) == "1" else f" {self.unit(name)}"
             parts.append(f"{name.removeprefix('parameters.')} = {number}{unit}")
-        return formula + (f" with {', '.join(parts)}" if parts else "")
+        return self.kind.formula + (f" with {', '.join(parts)}" if parts else "")
 
 
 def _no_wear(p: FloatArray, at: LocalState) -> Values:

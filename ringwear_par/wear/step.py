@@ -101,6 +101,8 @@ class StepWear:
     pace: FloatArray | None
     #: (w, B, n) mm, depths of laws that remember, from which others near them are found
     near: FloatArray
+    #: pressures whose lines were asked for last, as several ask for the same, and these lines
+    _last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = field(init=False, default=None)
 
     @property
     def is_local(self) -> bool:
@@ -117,7 +119,11 @@ class StepWear:
 
         Near p, depths along the axis are max(0, const + slope p).
         """
-        return self._line_of_all if self.linear else self._lines(p)
+        if self.linear:
+            return self._line_of_all
+        if self._last is None or self._last[0] is not p:
+            self._last = p, self._lines(p)
+        return self._last[1]
 
     @cached_property
     def _line_of_all(self) -> tuple[FloatArray, FloatArray]:
@@ -167,22 +173,15 @@ class StepWear:
         return secant * rate, (secant * slopes.T).T
 
     def _lines(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        consts, slopes = [], []
+        const, slope = np.empty(self.wear.shape), np.empty(self.wear.shape)
         for i, body in enumerate(self.wearing):
             if any(body.remember):
-                depth, slope = self._settled(i, p)
+                const[i], slope[i] = self._settled(i, p)
             else:
                 rate, rise, *_ = self._rate(i, p, 0.0)
-                depth, slope = self.step * rate, self.step * rise
-            consts.append(depth if self.linear else depth - slope * p)
-            slopes.append(slope)
-        if len(consts) == 1:  # without a copy
-            return consts[0][None], slopes[0][None]
-        shape = self.wear.shape[1:]
-        const, slope = (
-            np.array([np.broadcast_to(v, shape) for v in of_bodies]).reshape(-1, *shape)
-            for of_bodies in (consts, slopes)
-        )
+                const[i], slope[i] = self.step * rate, self.step * rise
+        if not self.linear:
+            const -= slope * p
         return const, slope
 
     def _settled(self, i: int, p: FloatArray) -> tuple[FloatArray, FloatArray]:

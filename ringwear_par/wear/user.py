@@ -87,11 +87,6 @@ class UserCode:
         return getattr(functions, name, default)
 
     @property
-    def formula(self) -> str:
-        """What it is, in summaries."""
-        return f"rate(p, at) of {self.called}" if self.is_file else f"{self.called}.rate(p, local)"
-
-    @property
     def remembers(self) -> bool:
         """Whether the rate may depend on ``local.wear``: objects say so, files are searched."""
         reads = not self.is_file or re.search(r"\.wear\b|\bd_rate_dwear\b", self.source) is not None
@@ -198,8 +193,8 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
 
     Raises
     ------
-    InputError : it is none, wears without pressure, or gives NaN, negative rates, or rates that
-        fall or jump.
+    InputError : it is none, wears without pressure, or gives rates that fall or jump.
+    LawError : it fails, or gives NaN or negative rates.
     """
     if isinstance(code.source, type) or not callable(code.get("rate")):
         raise InputError(
@@ -213,10 +208,7 @@ def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
     low, high, steepest = 0.0, pressure, 0.0
     for count in _TRIED:
         p = np.linspace(low, high, count)
-        try:
-            rates = np.array([code.values(np.full_like(local.r, q), local)[0] for q in p])
-        except LawError as error:
-            raise InputError(str(error)) from error
+        rates = np.array([code.values(np.full_like(local.r, q), local)[0] for q in p])
         rises = np.diff(rates, axis=0)
         wrong = [(rates[0] != 0.0) & (low == 0.0), *(rises < -1e-12 * rates.max())]
         for i, e in np.argwhere(wrong)[:1].tolist():

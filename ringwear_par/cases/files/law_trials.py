@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import Fault, InputError
+from ringwear_par.errors import Fault, InputError, LawError
 from ringwear_par.schedules import largest
 from ringwear_par.wear.at import LocalState
 from ringwear_par.wear.user import try_law
@@ -43,7 +43,7 @@ def refuse_bad_laws(case: Case, name: str) -> None:
         key = f"{table}.file" if law.code.is_file else table
         try:
             try_law(law.code, replace(at, parameters=law.at(at)), pressure)
-        except InputError as error:
-            faults += [Fault(f"{name}: {key}: {f}", key, "not_allowed") for f in error.faults]
+        except (InputError, LawError) as error:
+            faults.append(Fault(f"{name}: {key}: {error}", key, "not_allowed"))
     if faults:
         raise InputError(*faults)
