@@ -90,13 +90,13 @@ class FitResult(Outcome):
         }
         if not self.problem.scatters:
             contents[folders.SPECIMENS] = lambda: None
+        contents[folders.FIT] = lambda: folders.json_bytes(content)
         likelihoods = self.solution.posterior.likelihoods
         readings, posterior = folder / folders.READINGS, folder / folders.POSTERIOR
         with folders.new_files(folder, FILES, "fit"):
             fit_folder.write_readings(readings, self.problem, self.series, software)
             fit_folder.write_posterior(posterior, self.draws, self.series, likelihoods, software)
-            last = {folders.FIT: lambda: folders.json_bytes(content)}
-            folders.write_contents(folder, {**contents, **last})
+            folders.write_contents(folder, contents)
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
