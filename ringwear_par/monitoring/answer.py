@@ -54,8 +54,8 @@ def answer_of(
 ) -> tuple[dict[str, Any], Specimen]:
     """Return the answer to the readings so far, the contents of follow.json; and the draws.
 
-    Of ``trace`` an entry is time, low end, median and high end of the first wear rate, whose
-    interval is to become narrow; the first one is before the test.
+    Its ``trace`` has the interval of the first wear rate, which is to become narrow, before the
+    test and at the end of each window: time, low end, median and high end.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ Answers are written, and printed, as text and as a page, whenever the test's fil
 
 import logging
 import time
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -170,7 +170,7 @@ def _loop(
     signals: StopSignals,
 ) -> None:
     """Answer whenever the files change, until the end of the test."""
-    files, stamps, frame, warned = {source.name}, list[tuple[int, ...]](), None, ""
+    files, stamps, frame, warned = {source.name}, list[tuple[int, ...]](), tuple[Any, ...](), ""
     answer, shown, printed, alarmed, ended = dict[str, Any](), None, -_PAUSE, False, False
     while not (ended or signals.received):
         if (present := _stamps(source.parent / file for file in sorted(files))) == stamps:
@@ -180,8 +180,12 @@ def _loop(
         try:
             problem = read_running(source, name)
             files |= {*problem.hashes}
-            if (present_frame := frame_of(problem)) != frame:
-                follower, frame = follower_of(problem), present_frame
+            (test,) = problem.experiments
+            # histories are for all of a problem but its readings over time
+            fixed = [series.x.tobytes() for series in test.series if not series.timed]
+            if (problem.text, test.case.text, fixed) != frame:
+                follower = follower_of(problem)
+                frame = problem.text, test.case.text, fixed
         except InputError as error:  # it is being written, or was replaced
             if once:
                 raise
@@ -204,12 +208,6 @@ def _loop(
     if shown is not answer:
         show()
     print(f"written: {folder / FOLLOW}")
-
-
-def frame_of(problem: Problem) -> tuple[Hashable, ...]:
-    """Return all of a problem of one test but its readings over time, which histories are for."""
-    (test,) = problem.experiments
-    return (problem.text, test.case.text, *(s.x.tobytes() for s in test.series if not s.timed))
 
 
 def _stamps(files: Iterable[Path]) -> list[tuple[int, ...]]:

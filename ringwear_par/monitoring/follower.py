@@ -122,7 +122,7 @@ class Follower:
         # (bodies, 1 + r) mm, worn at the end of the test
         ends = [self.places[f"volume.{body}"].stop - 1 for body in bodies]
         self._depths = self.columns[ends] / test.case.area
-        #: (bodies,) mm, of the middle of the draws, of which shares are
+        #: (bodies,) mm, worn at the end at the middle of the draws, to which shares are relative
         self.most = self._depths @ self._coordinates(np.median(x, axis=0)[None])[0]
 
     @property

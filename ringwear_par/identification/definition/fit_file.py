@@ -87,7 +87,7 @@ def read_fit(
         return problem
     check_censored(problem, faults)
     _check(problem, faults)
-    _refuse(faults)  # many of which are those of the other laws too
+    _refuse(faults)  # other laws have many of them too
     alternatives = {}
     for law, (changes, fitted) in laws.items():
         place = f"{name}: compare.{legible(law)}"
