@@ -31,7 +31,7 @@ from ringwear_par.history.refusals import check_memory, check_mesh
 from ringwear_par.studies.variations import cell, mapped, read_draft, split_key, value_of
 from ringwear_par.version import __version__
 
-#: values of a key that are checked one by one, beside the last
+#: values of a key that are checked one by one; of more the least and the largest
 _MOST_VALUES = 20
 #: bad cases at the beginning of a design, after which no good one is looked for
 _MOST_BAD = 100
@@ -288,7 +288,8 @@ def _check(study: Study, ranks: int) -> None:
     faults: list[Fault] = []
     for i, column in enumerate(study.columns.values()):
         first, codes = _distinct(column)
-        for code in {*range(min(len(first), _MOST_VALUES)), len(first) - 1}:
+        every = range(len(first))
+        for code in every if len(first) <= _MOST_VALUES else (0, len(first) - 1):
             number, last = int(first[code]), int(np.flatnonzero(codes == code)[-1])
             keys = study.keys([*row[:i], column.item(number), *row[i + 1 :]])
             try:
