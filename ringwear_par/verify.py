@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, RingLayer, Stepping
+from ringwear_par.cases.law import Law
 from ringwear_par.elasticity.bem.body import compliance, solve_zones
 from ringwear_par.elasticity.bem.boundary import zone_meshes
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
@@ -25,7 +26,6 @@ from ringwear_par.history.elastic import assemble
 from ringwear_par.history.loop import first_contact
 from ringwear_par.parallel import together
 from ringwear_par.results.run import simulate
-from ringwear_par.wear.law import Law
 
 #: Poisson's ratio of all bodies
 NU = 0.3

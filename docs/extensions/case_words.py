@@ -15,6 +15,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import ringwear_par as rw
+from ringwear_par.cases.law import Law
 from ringwear_par.cases.schema import KEYS as CASE_KEYS
 from ringwear_par.cases.units import in_signs
 from ringwear_par.files.text import parse_toml, toml_value
@@ -24,7 +25,6 @@ from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.studies.variations import KEYS as STUDY_KEYS
 from ringwear_par.wear.at import LocalState
-from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import LAWS
 
 if TYPE_CHECKING:

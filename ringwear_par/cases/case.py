@@ -11,12 +11,12 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.faces import CLOSE
+from ringwear_par.cases.law import NO_WEAR, Law
 from ringwear_par.cases.schema import FIELDS, SCHEMES
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import BODIES, Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, bends, in_time
-from ringwear_par.wear.law import NO_WEAR, Law
 from ringwear_par.wear.user import WearLaw
 
 #: of which material a point on the line between two is

@@ -14,10 +14,10 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case, Ring, RingLayer
+from ringwear_par.cases.law import Law, faults_together
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
-from ringwear_par.wear.law import Law
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]
@@ -125,7 +125,7 @@ def _refused_by(
     if not columns or not any(parameter.at_least for parameter in law.kind.declared):
         return np.zeros(count, dtype=bool)
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
-    return np.array([bool(law.kind.faults("", {**law.values, **row})) for row in rows])
+    return np.array([bool(faults_together(law.kind, "", {**law.values, **row})) for row in rows])
 
 
 def with_numbers(

@@ -15,12 +15,12 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.law import Law
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.results.files import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable
 from ringwear_par.schedules import mean, mean_of_product
-from ringwear_par.wear.law import Law
 
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"

@@ -10,10 +10,10 @@ from matplotlib.patches import Polygon
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring
+from ringwear_par.cases.law import in_words
 from ringwear_par.cases.units import in_signs
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain, svg
 from ringwear_par.schedules import Quantity, Table, quantity_text
-from ringwear_par.wear.law import in_words
 
 #: inches of the figure, and the share of its width that bodies take; words take the rest
 _WIDTH, _DRAWN = 6.6, 0.58

@@ -14,6 +14,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
+from ringwear_par.cases.law import in_words
 from ringwear_par.cases.units import with_signs
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES, BodyName
@@ -24,7 +25,6 @@ from ringwear_par.history.state import State
 from ringwear_par.results.variables import HISTORIES, LAYERS, PROFILES, STRESSES, TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, mean, points_of
 from ringwear_par.version import versions
-from ringwear_par.wear.law import in_words
 
 if TYPE_CHECKING:
     import xarray

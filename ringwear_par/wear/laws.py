@@ -14,8 +14,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import Fault
-from ringwear_par.schedules import largest, quantity_text, smallest
 from ringwear_par.wear.at import LocalState
 from ringwear_par.wear.user import user
 
@@ -112,29 +110,6 @@ class Kind:
     def parameters(self) -> dict[str, Parameter]:
         """The parameters by name."""
         return {parameter.name: parameter for parameter in self.declared}
-
-    def faults(self, table: str, values: Mapping[str, Any]) -> list[Fault]:
-        """Return the faults of parameters that are right one by one, but not together.
-
-        Parameters
-        ----------
-        table : beginning of their keys, "wear.lower.".
-        values : by name; None if the file has none; without those that are wrong by themselves.
-        """
-        faults, alternatives = [], [values[name] for name in self.one_of if name in values]
-        if self.one_of and len(alternatives) == len(self.one_of) and alternatives.count(None) != 1:
-            keys = ", ".join(table + name for name in self.one_of)
-            sentence = f"{keys}: one of them must be given (mm)"
-            faults.append(Fault(sentence, table + self.one_of[0], "missing"))
-        for name, parameter in self.parameters.items():
-            quantity, least = values.get(name), values.get(parameter.at_least)
-            if quantity is not None and least is not None and smallest(quantity) < largest(least):
-                sentence = (
-                    f"{table}{name} = {quantity_text(quantity)}: must be at least "
-                    f"{table}{parameter.at_least} = {quantity_text(least)}"
-                )
-                faults.append(Fault(sentence, f"{table}{name}", "conflict"))
-        return faults
 
 
 _K = Parameter("k", "1/MPa", "wear coefficient")

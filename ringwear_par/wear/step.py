@@ -119,15 +119,9 @@ class StepWear:
 
         Near p, depths along the axis are max(0, const + slope p).
         """
-        if self.linear:
-            return self._line_of_all
-        if self._last is None or self._last[0] is not p:
-            self._last = p, self._lines(p)
+        if self._last is None or not (self.linear or self._last[0] is p):
+            self._last = p, self._lines(np.zeros((1, 1)) if self.linear else p)
         return self._last[1]
-
-    @cached_property
-    def _line_of_all(self) -> tuple[FloatArray, FloatArray]:
-        return self._lines(np.zeros((1, 1)))
 
     def depths(self, p: FloatArray) -> FloatArray:
         """Return what bodies lose along the axis, (w, B, n) mm, at pressures (B, n)."""
@@ -140,10 +134,8 @@ class StepWear:
         """Return rates of wear along the axis at the wear before the step, (w, B, n) mm/s."""
         rates = np.zeros((len(self.wearing), *p.shape))
         for i, body in enumerate(self.wearing):
-            if body.length:
-                rates[i] = self._averaged(i, p)[0]
-            else:
-                rates[i] = self._rate(i, p, 0.0)[0].clip(0.0)
+            rate = self._averaged(i, p)[0] if body.length else self._rate(i, p, 0.0)[0]
+            rates[i] = np.maximum(rate, 0.0)
         return rates
 
     def of_one(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -155,12 +147,9 @@ class StepWear:
             const, slope = self.lines(p[None])
             line = const + slope * p
             return np.maximum(line, 0.0).sum(axis=0)[0], (slope * (line > 0.0)).sum(axis=0)[0]
-        depth, slopes = np.zeros_like(p), np.zeros((len(p), len(p)))
-        for i in range(len(self.wearing)):
-            rate, slope = self._averaged(i, p[None])
-            depth += self.step[0, 0] * rate[0]
-            slopes += self.step[0, 0] * slope
-        return depth, slopes
+        step, bodies = self.step[0, 0], range(len(self.wearing))
+        rates, slopes = zip(*(self._averaged(i, p[None]) for i in bodies), strict=True)
+        return step * sum(rates)[0], step * sum(slopes)
 
     def _averaged(self, i: int, p: FloatArray) -> Values:
         """Return rates (B, n) of averaged pressures, averaged alike; of one also slopes (n, n)."""

@@ -1,7 +1,6 @@
 """Wear laws of users, from files and as objects: called for one history at a time, and checked."""
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,12 +14,9 @@ from ringwear_par.errors import InputError, LawError
 from ringwear_par.files.text import read_text
 from ringwear_par.wear.at import LocalState
 
-#: step of difference quotients over the pressure or the worn depth: their error is its square,
-#: their round-off eps over it; MPa and mm, what counts as these where they are smaller
-_STEP, _SMALL_PRESSURE, _SMALL_WEAR = 1e-5, 1e-3, 1e-6
-#: how many pressures laws are tried at: up to the largest, then again and again between the two
-#: where the rate rises most; rise between the last two, over that of the first, of a jump
-_TRIED, _JUMP = (33, *13 * (5,)), 0.1
+#: step of differences over the pressure or the worn depth, and MPa and mm, what counts as these
+#: where they are smaller: differences look upwards, since below rates may have no sense
+_STEP, _SMALL_PRESSURE, _SMALL_WEAR = 1e-6, 1e-3, 1e-6
 
 
 class WearLaw(Protocol):
@@ -113,15 +109,14 @@ class UserCode:
         if self.get("d_rate_dp"):
             slope = self._call("d_rate_dp", p, local)
         else:
-            slope = derivative(lambda p: self._call("rate", p, local), p, _SMALL_PRESSURE)
-            slope = np.maximum(slope, 0.0)
+            h = _STEP * np.maximum(p, _SMALL_PRESSURE)
+            slope = np.maximum((self._call("rate", p + h, local) - rate) / h, 0.0)
         if not self.remembers:
             return rate, slope
         if self.get("d_rate_dwear"):
             return rate, slope, self._call("d_rate_dwear", p, local)
-        return rate, slope, derivative(
-            lambda wear: self._call("rate", p, replace(local, wear=wear)), local.wear, _SMALL_WEAR
-        )  # fmt: skip
+        h = _STEP * np.maximum(local.wear, _SMALL_WEAR)
+        return rate, slope, (self._call("rate", p, replace(local, wear=local.wear + h)) - rate) / h
 
     def _call(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the result of a function of the code, (n,), as a copy, checked."""
@@ -136,16 +131,12 @@ class UserCode:
             raise LawError(
                 f"{self.called}: {name}() failed at time {local.time:g} s: {reason}"
             ) from error
-        any_sign = name == "d_rate_dwear"
-        bad = ~(np.isfinite(result) & (any_sign | (result >= 0.0)))
+        least = -np.inf if name == "d_rate_dwear" else 0.0
+        bad = ~(np.isfinite(result) & (result >= least))
         if bad.any():
             e = int(bad.argmax())
-            must = "a finite number" if any_sign else "a finite number >= 0"
-            falls = ": rates must not fall with pressure" * (name == "d_rate_dp")
-            raise LawError(
-                f"{self.called}: {name}() gives {result[e]:g}{_place(local, e, p[e])}; must be "
-                f"{must}{falls}"
-            )
+            gives = f"gives {result[e]:g}{place_words(local, e, p[e])}"
+            raise LawError(f"{self.called}: {name}() {gives}; must be finite and >= {least:g}")
         return result
 
 
@@ -177,55 +168,8 @@ def user(
     return tuple(values)
 
 
-def derivative(
-    function: Callable[[FloatArray], FloatArray], x: FloatArray, smallest: float
-) -> FloatArray:
-    """Return the derivative of a function whose every value depends on one entry of x only.
-
-    By a one-sided difference, which needs nothing below x, where rates may have no sense.
-    """
-    h = _STEP * np.maximum(np.abs(x), smallest)
-    return (4.0 * function(x + h) - 3.0 * function(x) - function(x + 2.0 * h)) / (2.0 * h)
-
-
-def try_law(code: UserCode, local: LocalState, pressure: float) -> None:
-    """Refuse code that is no law, tried at pressures up to a given one (MPa). Not collective.
-
-    Raises
-    ------
-    InputError : it is none, wears without pressure, or gives rates that fall or jump.
-    LawError : it fails, or gives NaN or negative rates.
-    """
-    if isinstance(code.source, type) or not callable(code.get("rate")):
-        raise InputError(
-            f"{code.called} is no wear law; must be an object with rate(p, local), not a class"
-        )
-    try:
-        _ = code.length, code.breakpoints
-    except Exception as error:  # whatever a user's code may raise
-        must = "length must be a number (mm), breakpoints a list of times (s)"
-        raise InputError(f"{code.called}: {error}; {must}") from error
-    low, high, steepest = 0.0, pressure, 0.0
-    for count in _TRIED:
-        p = np.linspace(low, high, count)
-        rates = np.array([code.values(np.full_like(local.r, q), local)[0] for q in p])
-        rises = np.diff(rates, axis=0)
-        wrong = [(rates[0] != 0.0) & (low == 0.0), *(rises < -1e-12 * rates.max())]
-        for i, e in np.argwhere(wrong)[:1].tolist():
-            what = f"falls from {rates[i - 1, e]:g} to" if i else "gives"
-            must = "must not fall with pressure" if i else "must be 0 without pressure"
-            place = _place(local, e, p[i])
-            raise InputError(f"{code.called}: rate() {what} {rates[i, e]:g}{place}; {must}")
-        i, e = np.unravel_index(rises.argmax(), rises.shape)
-        low, high, steepest = p[i], p[i + 1], max(steepest, rises[i, e])
-    if rises[i, e] > _JUMP * steepest:
-        raise InputError(
-            f"{code.called}: rate() jumps from {rates[i, e]:g} to {rates[i + 1, e]:g}"
-            f"{_place(local, int(e), high)}; must be continuous"
-        )
-
-
-def _place(local: LocalState, element: int, p: float) -> str:
+def place_words(local: LocalState, element: int, p: float) -> str:
+    """Return the words of where and when a law was called."""
     return (
         f" at time {local.time:g} s, element {element} (r = {local.r[element]:.6g} mm), "
         f"p = {p:.6g} MPa"

@@ -59,9 +59,9 @@ PLACES = {
     "studies.many": "computed results_of",
     "studies.sweep": "run_sweep",
     "studies.plot": "plot_stored",
-    "wear.law": "Law NO_WEAR",
+    "cases.law": "Law NO_WEAR in_words",
     "wear.laws": "LAWS threshold",
-    "wear.user": "derivative user",
+    "wear.user": "user",
 }
 _MODULES = {name: module for module, names in PLACES.items() for name in names.split()}
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from ringwear_par.cases.law import Law
 from ringwear_par.wear import LocalState
-from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import LAWS
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
-from parts import Table, derivative
+from parts import NO_WEAR, Table, in_words
 from paths import PAPER
 from wearing import (
     ArchardLaw,
@@ -17,7 +17,6 @@ from wearing import (
 )
 
 import ringwear_par as rw
-from ringwear_par.wear.law import NO_WEAR, in_words
 from ringwear_par.wear.step import Elements
 
 MU, P = 0.3, np.array([5.0, 20.0, 80.0])
@@ -46,6 +45,12 @@ RATES = {
 def law_of(name):
     keys = {key: [*map(list, v)] if key == "table" else v for key, v in RATES[name][0].items()}
     return rw.read_case(PAPER, {"wear.lower": {"law": name.partition(",")[0], **keys}}).wear_lower
+
+
+def derivative(function, x, smallest):
+    """By a one-sided difference of the second order, which needs nothing below x."""
+    h = 1e-5 * np.maximum(x, smallest)
+    return (4.0 * function(x + h) - 3.0 * function(x) - function(x + 2.0 * h)) / (2.0 * h)
 
 
 @pytest.mark.parametrize("name", RATES)

@@ -66,7 +66,7 @@ BAD_OBJECTS = {
     "nan": Mine(lambda p, local: p * np.nan),
     "NoneType": Mine(lambda p, local: None),
     "falls": Mine(lambda p, local: 1e-11 * p * (500 - p)),
-    "not fall": Mine(lambda p, local: 1e-8 * p, d_rate_dp=lambda p, local: -1e-8 + 0 * p),
+    "d_rate_dp.*>= 0": Mine(lambda p, local: 1e-8 * p, d_rate_dp=lambda p, local: -1e-8 + 0 * p),
     "function": lambda p, local: 1e-8 * p,
     "not a class": Mine,
     "float": 3.0,
@@ -162,8 +162,9 @@ def test_files_remember_wear_by_reading_it_and_need_no_derivatives(law):
     assert read(GOOD + "breakpoints = [2, 1]").breakpoints == (1.0, 2.0)
     assert plain.key == read(PLAIN).key != exact.key
     at = replace(sliding(POWER, wear=np.full(5, 1e-3)), parameters={"k": 1e-7})
+    # slopes by differences of a step of 1e-6 are for solvers: results do not depend on them
     for own, found in zip(exact.code.values(P, at), plain.code.values(P, at), strict=True):
-        assert found == pytest.approx(own, rel=1e-9)
+        assert found == pytest.approx(own, rel=1e-6)
 
 
 @dataclass(frozen=True)
@@ -194,9 +195,9 @@ def test_histories_of_a_block_fail_one_by_one():
     values = user(law.code, faults, p, at, **arguments)
     known = RunningInLaw(0.0, 9e-7, depth=1e-6)
     for found, exact in zip(values, known.kind.function(p, at, **known.arguments), strict=True):
-        assert found[0] == pytest.approx(exact[0], rel=1e-9)
+        assert found[0] == pytest.approx(exact[0], rel=1e-6)  # by differences
         assert np.isnan(found[1]).all()
-        assert found[2, 1:] == pytest.approx(exact[2, 1:], rel=1e-9)
+        assert found[2, 1:] == pytest.approx(exact[2, 1:], rel=1e-6)
     assert faults == {8: "Hardening: rate() failed at time 7 s: ValueError: too late"}
     with pytest.raises(rw.ComputationError, match="too late"):
         law.rate(P, sliding(POWER, time=7.0))

@@ -14,6 +14,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.faults import Origin, contact_faces
 from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.law import Law, faults_together
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
 from ringwear_par.cases.schema import (
     BY_PATH,
@@ -29,7 +30,6 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import LAWS
 
 
@@ -165,7 +165,7 @@ def read_law(
         if path.startswith(f"{table}.") and path not in own_keys and key_of(path) is not None
     ]
     parameters = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
-    law_faults += kind.faults(f"{table}.", parameters)
+    law_faults += faults_together(kind, f"{table}.", parameters)
     result = None
     if not law_faults and len(parameters) == len(declared):
         try:

@@ -35,6 +35,7 @@ from ringwear_par.cases.files.keys import (
     refuse_study,
     replacing_tables,
 )
+from ringwear_par.cases.law import Law
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.schema import SCHEMES, STOP_CRITERIA
 from ringwear_par.cases.stress_points import check_stress
@@ -43,7 +44,6 @@ from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.schedules import Quantity, Table
-from ringwear_par.wear.law import Law
 
 T = TypeVar("T")
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import Fault
 from ringwear_par.schedules import (
     Quantity,
     Table,
@@ -161,6 +162,30 @@ class Law:
             unit = "" if self.unit(name) == "1" else f" {self.unit(name)}"
             parts.append(f"{name.removeprefix('parameters.')} = {number}{unit}")
         return self.kind.formula + (f" with {', '.join(parts)}" if parts else "")
+
+
+def faults_together(kind: Kind, table: str, values: Mapping[str, Any]) -> list[Fault]:
+    """Return the faults of a law's parameters that are right one by one, but not together.
+
+    Parameters
+    ----------
+    table : beginning of their keys, "wear.lower.".
+    values : by name; None if the file has none; without those that are wrong by themselves.
+    """
+    faults, alternatives = [], [values[name] for name in kind.one_of if name in values]
+    if kind.one_of and len(alternatives) == len(kind.one_of) and alternatives.count(None) != 1:
+        keys = ", ".join(table + name for name in kind.one_of)
+        sentence = f"{keys}: one of them must be given (mm)"
+        faults.append(Fault(sentence, table + kind.one_of[0], "missing"))
+    for name, parameter in kind.parameters.items():
+        quantity, least = values.get(name), values.get(parameter.at_least)
+        if quantity is not None and least is not None and smallest(quantity) < largest(least):
+            sentence = (
+                f"{table}{name} = {quantity_text(quantity)}: must be at least "
+                f"{table}{parameter.at_least} = {quantity_text(least)}"
+            )
+            faults.append(Fault(sentence, f"{table}{name}", "conflict"))
+    return faults
 
 
 def _no_wear(p: FloatArray, at: LocalState) -> Values:
