@@ -33,6 +33,7 @@ def explore(
     Raises
     ------
     InputError : a bad case, more ranks than one, a missing package, a port that is not free.
+    ComputationError : the history of the case fails.
     """
     if comm.size > 1:
         raise InputError(
@@ -44,17 +45,17 @@ def explore(
     try:
         from bokeh.server.server import Server
 
-        from ringwear_par.explorer.page import Explorer
+        from ringwear_par.explorer.page import Explorer, history_of
     except ImportError as error:
         raise InputError(
             "explore: needs the Python package bokeh; pip install 'ringwear-par[explore]'"
         ) from error
     for name in ("bokeh", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.ERROR)
-    token = secrets.token_urlsafe(_TOKEN)
+    token, result = secrets.token_urlsafe(_TOKEN), history_of(case, comm)
     try:
         server = Server(
-            {"/": lambda document: Explorer(case, path.name, comm).open(document)},
+            {"/": lambda document: Explorer(case, result, path.name, comm).open(document)},
             port=port, address="127.0.0.1", prefix=token, use_index=False,
         )  # fmt: skip
     except OSError as error:

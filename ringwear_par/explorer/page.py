@@ -24,7 +24,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import override, read_keys
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.units import in_signs, with_signs
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.explorer import charts
 from ringwear_par.explorer.numbers import Number, numbers_of
 from ringwear_par.explorer.readings import Readings, read_readings
@@ -47,23 +47,44 @@ link.download = file.data.name[0];
 link.click();"""
 
 
+def history_of(case: Case, comm: MPI.Comm) -> Result:
+    """Return the history of a case with all profiles and without stresses.
+
+    Times of output stay: steps end there.
+
+    Raises
+    ------
+    ComputationError : it fails.
+    """
+    changes: dict[str, Any] = {
+        "output.fields": None, "output.profiles": None, "output.boundary": None, "stress": None,
+    }  # fmt: skip
+    if not case.output.times:
+        every = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
+        changes["output.every"] = every
+    (result,) = simulate_all([case.replace(changes)], comm)
+    if isinstance(result, FailedResult):
+        raise result.error
+    return result
+
+
 class Explorer:
     """The page of one visitor: widgets, charts, and the histories that they show.
 
     Parameters
     ----------
-    base : the case as its file has it.
+    base, result : the case as its file has it, and its history, see ``history_of``.
     name : of the file.
     comm : communicator of one rank.
     """
 
-    def __init__(self, base: Case, name: str, comm: MPI.Comm) -> None:
+    def __init__(self, base: Case, result: Result, name: str, comm: MPI.Comm) -> None:
         self._comm, self._name = comm, name
         self._keys = read_keys(base.text)
         self.numbers = {number.name: number for number in numbers_of(self._keys)}
         #: texts of numbers that were moved, by name
         self.moved: dict[str, str] = {}
-        self.case, self.result = base, self._history(base)
+        self.case, self.result = base, result
         self.others: dict[str, Result] = {CASE_FILE: self.result}
         self.readings: list[Readings] = []
         self._widgets: dict[str, tuple[Slider, TextInput]] = {}
@@ -81,29 +102,13 @@ class Explorer:
             keys = override(self._keys, {name: _raw(number) for name, number in self.moved.items()})
             case = make_case(keys, self._name)
             check_case(case, 1, self._name)
-            self.case, self.result = case, self._history(case)
-        except (InputError, ComputationError) as error:
+            self.case, self.result = case, history_of(case, self._comm)
+        except RingwearError as error:
             last = "The charts are of the last numbers that could be computed."
             self.status.text = f"{_list(str(error).splitlines(), '#b34700')}{last}"
             return
         self.status.text = ""
         self.draw()
-
-    def _history(self, case: Case) -> Result:
-        """Return the history of a case with all profiles and without stresses.
-
-        Times of output stay: steps end there.
-        """
-        changes: dict[str, Any] = {
-            "output.fields": None, "output.profiles": None, "output.boundary": None, "stress": None,
-        }  # fmt: skip
-        if not case.output.times:
-            every = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
-            changes["output.every"] = every
-        (result,) = simulate_all([case.replace(changes)], self._comm)
-        if isinstance(result, FailedResult):
-            raise result.error
-        return result
 
     def move(self, name: str, text: str) -> None:
         """Change a number; moves that follow at once are one."""
@@ -120,6 +125,8 @@ class Explorer:
             number, (slider, field) = self.numbers[name], self._widgets[name]
             slider.value, field.value = number.position(number.value), f"{number.value:.10g}"
         self.moved.clear()
+        if self._computing is not None:  # the widgets have asked for it
+            self._document.remove_timeout_callback(self._computing)
         self.compute()
 
     def pin(self) -> None:

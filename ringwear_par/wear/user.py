@@ -131,12 +131,12 @@ class UserCode:
             raise LawError(
                 f"{self.called}: {name}() failed at time {local.time:g} s: {reason}"
             ) from error
-        least = -np.inf if name == "d_rate_dwear" else 0.0
-        bad = ~(np.isfinite(result) & (result >= least))
+        falls = name == "d_rate_dwear"  # of rates by worn depth, which may fall
+        bad = ~(np.isfinite(result) & (falls | (result >= 0.0)))
         if bad.any():
-            e = int(bad.argmax())
+            e, must = int(bad.argmax()), "finite" if falls else "finite and >= 0"
             gives = f"gives {result[e]:g}{place_words(local, e, p[e])}"
-            raise LawError(f"{self.called}: {name}() {gives}; must be finite and >= {least:g}")
+            raise LawError(f"{self.called}: {name}() {gives}; must be {must}")
         return result
 
 

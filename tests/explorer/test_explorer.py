@@ -7,7 +7,7 @@ from mpi4py import MPI
 from paths import CASES, FIT, PAPER
 
 import ringwear_par as rw
-from ringwear_par.explorer.page import CASE_FILE, PINNED, Explorer
+from ringwear_par.explorer.page import CASE_FILE, PINNED, Explorer, history_of
 from ringwear_par.explorer.readings import read_readings
 
 SMALL = {"mesh.contact_elements": 12}
@@ -15,7 +15,7 @@ SMALL = {"mesh.contact_elements": 12}
 
 def opened(name, **changes):
     case = rw.read_case(CASES / f"{name}.toml", {**SMALL, **changes})
-    return Explorer(case, f"{name}.toml", MPI.COMM_SELF)
+    return Explorer(case, history_of(case, MPI.COMM_SELF), f"{name}.toml", MPI.COMM_SELF)
 
 
 def field(page, name):
