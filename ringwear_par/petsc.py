@@ -1,4 +1,4 @@
-"""PETSc, started for whoever has not started it."""
+"""PETSc, started where nobody has started it yet."""
 
 from ringwear_par.options import start_petsc
 

@@ -110,7 +110,7 @@ def integrate_rows(sources, nodes, boundary, double poisson, rules, columns, fac
 
 
 def kernels(const double[:, ::1] points, double poisson, bint stress=False):
-    """Return the kernels U, then T, (10, p) float, in the order of ``integrate_rows``.
+    """Return the kernels U, then T, (10, p) float, in the order of ``integrate_rows``, for tests.
 
     Or D, then S, of stresses, (20, p). U is in 1/MPa at E = 1, T in 1, D in 1/mm and S in MPa/mm^2;
     all carry the ``r1`` of ``dS = r1 dtheta ds``.

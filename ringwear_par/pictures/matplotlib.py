@@ -29,7 +29,7 @@ _LETTERS_OF_INCH = 15.0
 #: factors from lines of a figure to those on a page, and for sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
-#: width of the edges of bands, whose fillings are pale, and number of colours in a bar of times
+#: width of the edges of bands, whose fillings are pale
 _EDGE = 0.6
 #: most intervals between numbers of an axis below, whose labels would run together
 _MOST_INTERVALS = 6

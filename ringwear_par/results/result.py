@@ -74,7 +74,7 @@ class Outcome:
 
 
 class Checkpoint(NamedTuple):
-    """Where a history goes on: its last state, as of a block of one, and what is told of it."""
+    """Where a history goes on: its last state, as of a block of one, and the worst of its states."""
 
     state: State
     #: of the history so far, see ``checks.Worst``

@@ -127,7 +127,6 @@ LABORATORY_NUMBERS = {**_GROUPS["laboratory"], **SLIDING}
 #: stresses and where they are, at the states that cases ask for
 STRESSES = _GROUPS["stress"]
 POINTS = {name: STRESSES[name] for name in ("point_r", "point_z", "point_side")}
-POINT_SIDE = POINTS["point_side"]
 #: all variables of a result by their places in its file; groups have axes of their own
 VARIABLES = {
     **_GROUPS["axis"], **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
