@@ -74,7 +74,7 @@ class Outcome:
 
 
 class Checkpoint(NamedTuple):
-    """Where a history goes on: its last state, as of a block of one, and the worst of its states."""
+    """Where a history goes on: its last state, as of a block of one, and its worst measures."""
 
     state: State
     #: of the history so far, see ``checks.Worst``
