@@ -1,10 +1,12 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
@@ -123,8 +125,8 @@ class ExperimentReader:
         return case
 
     def _refuse_twins(self, experiments: Sequence[Experiment]) -> None:
-        """Refuse experiments of one name, and the same readings in two series."""
-        names, owners = set[str](), dict[Hashable, str]()
+        """Refuse experiments of one name, and the same lines of a file in two series."""
+        names, seen = set[str](), list[tuple[str, Series]]()
         for experiment in experiments:
             place = f'{self.name}: experiment "{legible(experiment.name)}"'
             if experiment.name in names:
@@ -133,13 +135,20 @@ class ExperimentReader:
                 continue
             names.add(experiment.name)
             for series in experiment.series:
-                content = series.quantity, series.file, series.value.tobytes()
-                if series.file and content in owners:
-                    self.faults.append(
-                        f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                        f'"{legible(owners[content])}"; must be read once'
-                    )
-                owners[content] = experiment.name
+                self.faults += [
+                    f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                    f'"{legible(owner)}"; must be read once'
+                    for owner, earlier in seen if _same_readings(series, earlier)
+                ]  # fmt: skip
+                seen.append((experiment.name, series))
+
+
+def _same_readings(a: Series, b: Series) -> bool:
+    """Tell whether two series share lines of a file, with the same readings."""
+    if a.lines is None or b.lines is None or (a.file, a.quantity) != (b.file, b.quantity):
+        return False
+    _, first, second = np.intersect1d(a.lines, b.lines, return_indices=True)
+    return bool(len(first)) and np.array_equal(a.value[first], b.value[second])
 
 
 def _named(series: Sequence[Series]) -> tuple[Series, ...]:
