@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parts import COMPONENTS, max_shear, mises, principal
+from parts import COMPONENTS, SIDES, max_shear, mises, principal
 from vtkhdf import last_state
 
 import ringwear_par as rw
@@ -108,6 +108,18 @@ def test_force_and_torque_go_through_every_interface(layered):
             assert -(stress[:, 2] @ area) == pytest.approx(force, rel=2e-3)
             assert stress[:, 5] @ (area * line) == pytest.approx(torque, rel=2e-3)
             assert abs(stress[:, 3] @ area) < force
+
+
+def test_points_on_a_side_have_the_same(layered, comm):
+    points, expected = [], []
+    for body in ("lower", "upper"):
+        r, z, stress = (layered.stress[f"interface_{of}_{body}"] for of in ("r", "z", "stress"))
+        for number, height in enumerate(z):
+            for side, word in enumerate(SIDES):
+                points.append([r[3], height, word])
+                expected.append(stress[-1, number, side, 3])
+    found = rw.simulate(both_bodies(stress__points=points), comm).stress["stress"][-1]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_geometry_that_follows_the_wear(plain):

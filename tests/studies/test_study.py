@@ -21,6 +21,14 @@ GRID = """
 method = "grid"
 """
 
+DRAWN = """
+[vary]
+"wear.lower.k" = { log = [1e-8, 1e-6] }
+"upper.r[1]" = { linear = [30.5, 32.0] }
+mesh.contact_elements = { linear = [8, 16] }
+"upper.grip" = { values = ["clamped", "platen"] }
+"""
+
 
 @pytest.fixture
 def write(tmp_path, comm):
@@ -91,6 +99,20 @@ def test_cases_are_those_of_their_keys(name):
         vary = {key: {"values": [value]} for key, value in zip(keys, row, strict=True)}
         assert ids(read_study({"case": CASES / f"{stem}.toml", "vary": vary})) == [name_of]
     assert len(set(ids(study))) == len(study)
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
+def test_samples_fill_their_ranges(write, method):
+    study = read_study(write(f'{DRAWN}[design]\nmethod = "{method}"\ncount = 256\n'))
+    k, outer, elements, grip = zip(*rows(study), strict=True)
+    fraction = np.log(np.array(k) / 1e-8) / np.log(100.0)
+    assert 0.0 <= fraction.min() < 0.03
+    assert 0.97 < fraction.max() <= 1.0
+    # the mean of 256 uniform numbers: four standard deviations
+    assert fraction.mean() == pytest.approx(0.5, abs=4.0 / np.sqrt(12.0 * 256.0))
+    assert 30.5 <= min(outer) < max(outer) <= 32.0
+    assert set(elements) <= set(range(8, 17))
+    assert grip.count("platen") == pytest.approx(128, abs=32)
 
 
 def test_list_from_a_table(write, tmp_path):
