@@ -95,7 +95,7 @@ class Block:
             line=line,
             compliance=Compliance.of(line, pair, softness),
             number=np.arange(len(cases)),
-            gap=_gaps(cases),
+            gap=_gaps(cases, line.r),
             load=Schedules.of([0.0 if load is None else load for load in loads]),
             by_force=by_force,
             omega=Schedules.of([c.load.omega for c in cases]),
@@ -119,11 +119,6 @@ class Block:
     def layered(self) -> bool:
         """Whether a body has layers."""
         return any(len(body.laws) > 1 for body in self.wearing)
-
-    @cached_property
-    def is_local(self) -> bool:
-        """Whether the wear of each element depends on its own pressure alone."""
-        return not any(body.length for body in self.wearing)
 
     def worn_gap(self, wear: FloatArray) -> FloatArray:
         """Return the gaps (B, n) mm of undeformed profiles worn by (w, B, n) mm."""
@@ -188,14 +183,10 @@ def block_key(case: Case) -> Hashable:
     return case.time.scheme, case.load.force is not None, laws, elements, layers, *stored, alone
 
 
-def _gaps(cases: Sequence[Case]) -> FloatArray:
-    """Return the gaps of the unworn faces, (B, n) mm, worked out once for equal faces."""
-    known: dict[Hashable, FloatArray] = {}
-    keys = [(*((ring.r, ring.z, ring.face) for ring in c.rings), c.mesh.contact) for c in cases]
-    for key, case in zip(keys, cases, strict=True):
-        if key not in known:
-            known[key] = case.initial_gap
-    return np.array([known[key] for key in keys])
+def _gaps(cases: Sequence[Case], r: FloatArray) -> FloatArray:
+    """Return the gaps of the unworn faces at radii, (B, n) mm; faces differ in heights alone."""
+    lower, upper = (section.depth(r) for section in cases[0].sections)
+    return np.array([[c.upper.z[0] - c.lower.z[1]] for c in cases]) - lower - upper
 
 
 def _limits(case: Case) -> list[float]:
@@ -215,9 +206,9 @@ def _limits(case: Case) -> list[float]:
 def _stored(cases: Sequence[Case], limits: FloatArray) -> BoolArray:
     """Return which of the limits are times of output, (B, m)."""
     stored = np.zeros(limits.shape, bool)
-    for row, case in enumerate(cases):
-        for time in case.output.times:
-            stored[row] |= np.abs(limits[row] - time) <= SAME_TIME * time
+    if cases[0].output.times:
+        for times in padded([case.output.times for case in cases]).T[:, :, None]:
+            stored |= np.abs(limits - times) <= SAME_TIME * times
     return stored
 
 

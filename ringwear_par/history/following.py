@@ -10,6 +10,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.block import Block
 from ringwear_par.history.elastic import updated_geometry
@@ -76,12 +77,8 @@ class Following:
         except ComputationError as error:
             raise ComputationError(_slivers(case.line, both) or str(error)) from error
         self._meshed, self.seconds = both, self.seconds + self.pair.seconds
-        return replace(
-            block,
-            line=line,
-            compliance=compliance,
-            gap=case.initial_gap[None] - offset,
-        )
+        gap = case.initial_gap[None] - offset
+        return replace(block, line=line, compliance=compliance, gap=gap)
 
 
 def _slivers(line: ContactLine, wear: FloatArray) -> str:
@@ -93,9 +90,7 @@ def _slivers(line: ContactLine, wear: FloatArray) -> str:
         return ""
     less, more = sorted((e, e + 1), key=lambda place: wear[body, place])
     return (
-        f"elements that follow the wear: {('lower', 'upper')[body]} is worn by "
-        f"{wear[body, more]:.4g} mm at r = {line.r[more]:.6g} mm and by "
-        f"{wear[body, less]:.4g} mm at r = {line.r[less]:.6g} mm beside it; what stands out "
-        f"by {steep[body, e]:.2g} times the width of an element is no face that can be computed"
-        ': mesh.geometry = "fixed", or laws of wear that differ less, must be used'
+        f"elements that follow the wear: {BODIES[body]} is worn by {wear[body, more]:.4g} mm at "
+        f"r = {line.r[more]:.6g} mm and by {wear[body, less]:.4g} mm at r = {line.r[less]:.6g} mm "
+        'beside it: must differ less, or mesh.geometry = "fixed"'
     )

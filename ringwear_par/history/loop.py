@@ -44,15 +44,11 @@ _IDLE = 0.125
 SHARED = 512
 
 
-def _deepest(block: Block, state: State, body: int) -> FloatArray:
-    return block.both(state.wear)[body].max(axis=1)
-
-
 #: quantities of which a limit ends histories, (B,): the keys of [stop] in a case
 STOP: Mapping[str, Callable[[Block, State], FloatArray]] = {
     "penetration": lambda block, state: state.approach - state.first_approach,
-    "wear_lower": lambda block, state: _deepest(block, state, 0),
-    "wear_upper": lambda block, state: _deepest(block, state, 1),
+    "wear_lower": lambda block, state: block.both(state.wear)[0].max(axis=1),
+    "wear_upper": lambda block, state: block.both(state.wear)[1].max(axis=1),
     "energy": lambda block, state: state.energy,
 }
 
@@ -104,7 +100,8 @@ def simulate(
     """
     # rows of small systems are not worth messages
     own = comm if len(block.line.r) >= SHARED else MPI.COMM_SELF
-    needed = tao or following is not None or not block.is_local
+    is_local = not any(body.length for body in block.wearing)
+    needed = tao or following is not None or not is_local
     with TaoContact(block.compliance, block.by_force, own) if needed else nullcontext() as by_tao:
         scheme = BY_NAME[block.cases.every[0].time.scheme]
         failures: dict[int, Exception] = {}
@@ -150,7 +147,8 @@ def simulate(
             ended = accepted & ~off & (state.time >= block.limits[:, -1])
             for name, most in block.stop.items():
                 ended |= done & ~off & (STOP[name](block, state) >= most)
-            due = (passed & block.stored[rows, limit]) | (done & _is_due(block, state))
+            due = done & (block.every > 0) & (state.steps % np.maximum(block.every, 1) == 0)
+            due |= passed & block.stored[rows, limit]
             stored = ended | (due & ~off)
             going = going & ~(ended | stuck | off)
             shown = done & ~off if every else stored
@@ -223,11 +221,6 @@ def _is_off(block: Block, state: State) -> BoolArray:
     for element in block.open_ends:
         off |= state.pressure[:, element] > 0.0
     return off
-
-
-def _is_due(block: Block, state: State) -> BoolArray:
-    """Return whether as many steps are made as lie between states that cases store, (B,)."""
-    return (block.every > 0) & (state.steps % np.maximum(block.every, 1) == 0)
 
 
 def _instant(

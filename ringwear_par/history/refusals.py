@@ -17,6 +17,8 @@ from ringwear_par.files.text import toml_value
 SEARCHED = 4000.0
 #: of a machine's memory that a run may take
 _SHARE_OF_MEMORY = 0.9
+#: least length of an element, and radius of a hole, in outer radii
+_SHORTEST = 1e-11
 
 
 def memory_needed(case: Case, ranks: int) -> float:
@@ -130,33 +132,25 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
 
 
 def check_mesh(case: Case, name: str) -> None:
-    """Refuse a mesh whose smallest elements drown in round-off. Not collective.
+    """Refuse a hole, or elements, whose size drowns in round-off. Not collective.
 
     Raises
     ------
     InputError : with the smallest length.
     """
+    made_by = (
+        f"mesh.grading = {case.mesh.grading:g}, mesh.contact_elements = "
+        f"{case.mesh.contact_elements}"
+    )
     for body, ring in zip(BODIES, case.rings, strict=True):
-        if 0.0 < ring.r[0] < 1e-13 * ring.r[1]:
-            raise InputError(
-                f"{name}: {body}.r = [{ring.r[0]:g}, {ring.r[1]:g}]: the inner radius must be 0 or "
-                f"at least {1e-13 * ring.r[1]:.1e} mm"
-            )
-        fine = case.stress is not None
-        for i, zone in enumerate(zone_meshes(case.section(ring), case.line, case.mesh, fine=fine)):
-            ends = zone.nodes[zone.elements]
-            lengths = np.hypot(*(ends[:, 2] - ends[:, 0]).T)
-            shortest, least = float(lengths.min()), 1e-11 * ring.r[1]
-            if shortest >= least:
-                continue
-            keys = (
-                f"mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
-                f"{case.mesh.contact_elements}"
-            )
-            if ring.layers and lengths.argmin() in [*zone.inner_side, *zone.outer_side]:
-                thin = f"{body}.layers[{i}].thickness: is thin"
-                keys = thin if i < len(ring.layers) else f"{body}.layers: leave little of {body}"
-            raise InputError(
-                f"{name}: {keys}: the shortest element is {shortest:.1e} mm; must be at least "
-                f"{least:.1e} mm"
-            )
+        fine, least = case.stress is not None, _SHORTEST * ring.r[1]
+        zones = zone_meshes(case.section(ring), case.line, case.mesh, fine=fine)
+        ends = np.concatenate([zone.nodes[zone.elements] for zone in zones])
+        shortest = np.hypot(*(ends[:, 2] - ends[:, 0]).T).min()
+        made = f"{made_by}, {body}.layers" if ring.layers else made_by
+        lengths = {f"{body}.r[0]": ring.r[0] or np.inf, f"{made}: the shortest element": shortest}
+        for what, length in lengths.items():
+            if length < least:
+                raise InputError(
+                    f"{name}: {what} is {length:.1e} mm; must be at least {least:.1e} mm"
+                )

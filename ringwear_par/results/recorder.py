@@ -177,7 +177,7 @@ class Recorder:
         self._cases, self._comm, self._pair_is_shared = cases, comm, pair_is_shared
         self._worst = Worst(count)
         self._boundaries = Boundaries(case, comm)
-        self._stresses = Stresses(cases, comm, points_only=not results)
+        self._stresses = Stresses(cases, comm)
         #: the rows so far by variable, as they came; the last values of what has no rows, (B, ...)
         self._rows: dict[str, list[Any]] = {"number": [np.empty(0, np.int64)]}
         self._last: dict[str, FloatArray] = {}
@@ -212,7 +212,7 @@ class Recorder:
         The last row of a history that was stopped, or ends later now, may not be among them.
         """
         self._before = before.attributes
-        self._worst.measures = {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
+        self._worst.measures |= {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
         case, times = self._cases[0], before.data["time"]
         if case.output.times:
             near = np.abs(times[:, None] - case.output.times) <= SAME_TIME * times[:, None]
@@ -237,13 +237,8 @@ class Recorder:
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""
         self.last, numbers = instant, instant.block.number
-        stored = np.flatnonzero(instant.stored)
-        if len(stored):
-            some = instant
-            if len(stored) < len(numbers):
-                parts = (instant.block, instant.state, instant.stored, instant.ended)
-                some = Instant(*take(parts, stored), instant.following)
-            self._store(some)
+        if instant.stored.all():  # a single history also has instants that its case does not store
+            self._store(instant)
         for place in np.flatnonzero(instant.ended).tolist():
             self._ended[int(numbers[place])] = instant, place
         self._stepping = time.perf_counter() - self._started
@@ -287,7 +282,7 @@ class Recorder:
 
     def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
         """Return all histories as they are stored; those that failed have the rows before."""
-        failures, count = {**self._stresses.failures, **failures}, len(self._cases)
+        count = len(self._cases)
         offsets, data, last = self._columns()
         stresses = [self._stresses.arrays(number) for number in range(count)]
         whole = last | self._of_ends(offsets, data) | _points(stresses, count)
@@ -349,7 +344,6 @@ class Recorder:
         self, failures: Mapping[int, Exception], unstored: Instant | None = None, error: str = ""
     ) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none, see ``result``."""
-        failures = {**self._stresses.failures, **failures}
         offsets, data, last = self._columns(unstored)
         data |= laboratory_numbers(self._cases, data.pop("number"), data)
         results: list[Result | Exception] = []
