@@ -11,6 +11,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.history.elastic import operator_key
 from ringwear_par.schedules import Schedules, Table, padded, value
 from ringwear_par.wear.step import StepWear, Wearing
 from ringwear_par.wear.user import user
@@ -90,6 +91,7 @@ class Block:
         limits = padded(step_times or [_limits(c) for c in cases])
         stop = [dict(c.stop) for c in cases]
         loads = [c.load.force if by_force else c.load.displacement for c in cases]
+        factors: Any = paces and np.array([*map(padded, zip(*paces, strict=True))])[bodies]
         return cls(
             cases=whole,
             line=line,
@@ -109,7 +111,7 @@ class Block:
             deepest=np.array([[0.5 * np.ptp(c.rings[i].z) for i in bodies] for c in cases]),
             open_ends=tuple(e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut),
             given_steps=step_times is not None or not case.time.adaptive,
-            paces=None if paces is None else _paces(paces, bodies, limits.shape[1]),
+            paces=factors,
         )
 
     def __len__(self) -> int:
@@ -169,7 +171,8 @@ def block_key(case: Case) -> Hashable:
     """Return the key of cases that can be in one block.
 
     They have the same contact elements, slopes of faces, open ends of the mesh, nominal areas, and
-    layers on bodies that do not wear; other heights, moduli and Poisson's ratios.
+    layers on bodies that do not wear; other heights, moduli and Poisson's ratios, except where
+    stresses are stored.
     """
     laws = tuple(tuple(law.key for law in of_body) for of_body in case.laws)
     elements = case.contact, case.mesh, *((ring.r, ring.face) for ring in case.rings)
@@ -179,7 +182,8 @@ def block_key(case: Case) -> Hashable:
     )
     output = case.output
     alone = id(case) if case.follows_wear or output.boundary != "none" else 0
-    stored = output.fields, output.profiles, bool(output.times), case.stress
+    stress = case.stress and (case.stress, operator_key(case), case.lower.z[1], case.upper.z[0])
+    stored = output.fields, output.profiles, bool(output.times), stress
     return case.time.scheme, case.load.force is not None, laws, elements, layers, *stored, alone
 
 
@@ -194,13 +198,9 @@ def _limits(case: Case) -> list[float]:
     time, steps = case.time, case.breakpoints
     if not time.adaptive:
         steps = tuple((time.step * np.arange(1, time.steps + 1)).tolist())
-        if not case.output.times:
-            return [*steps]
-    limits: list[float] = []
-    for t in sorted({*steps, *case.output.times, time.end}):
-        if 0.0 < t <= time.end and not (limits and t - limits[-1] <= SAME_TIME * t):
-            limits.append(t)
-    return [*limits[:-1], time.end]
+    times = np.array(sorted({*steps, *case.output.times, time.end}))
+    apart = np.diff(times, prepend=0.0) > SAME_TIME * times
+    return [*times[apart & (times <= time.end)][:-1], time.end]
 
 
 def _stored(cases: Sequence[Case], limits: FloatArray) -> BoolArray:
@@ -210,12 +210,6 @@ def _stored(cases: Sequence[Case], limits: FloatArray) -> BoolArray:
         for times in padded([case.output.times for case in cases]).T[:, :, None]:
             stored |= np.abs(limits - times) <= SAME_TIME * times
     return stored
-
-
-def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> FloatArray:
-    """Return factors on the rates of bodies in all steps, (w, B, m)."""
-    wide = [np.pad(pace, ((0, 0), (0, count - pace.shape[1])), mode="edge") for pace in paces]
-    return np.array(wide).swapaxes(0, 1)[list(bodies)]
 
 
 def _wearing(cases: Cases, body: int, line: Line) -> Wearing:

@@ -9,11 +9,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.contact.tao import TaoContact
+from ringwear_par.elasticity.bem.pair import UpdatedGeometry
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.block import Block
-from ringwear_par.history.elastic import updated_geometry
+from ringwear_par.history.elastic import bodies
 from ringwear_par.history.schemes import settled
 from ringwear_par.history.state import State
 
@@ -23,7 +24,7 @@ class Following:
 
     def __init__(self, case: Case, comm: MPI.Comm) -> None:
         self._tolerance = case.mesh.geometry_tolerance
-        self._geometry = updated_geometry(case, comm)
+        self._geometry = UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
         #: (2, n) mm, wear of the profiles that the elements are meshed on
         self._meshed = np.zeros((2, case.line.n))
         self.pair = self._geometry.update(self._meshed)

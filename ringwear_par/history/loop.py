@@ -17,7 +17,6 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.batched import choose, take
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.block import BlockSolver
-from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.block import Block
@@ -174,12 +173,11 @@ def _start(block: Block, solver: Solver, comm: MPI.Comm) -> tuple[State, dict[in
     return state, failures
 
 
-def first_contact(case: Case, comm: MPI.Comm) -> Contact:
+def first_contact(case: Case, comm: MPI.Comm) -> State:
     """Return the contact of a case before any wear, as of a block of one. Collective on comm."""
     block = Block.of([case], [assemble(case, comm)])
     with TaoContact(block.compliance, block.by_force) as solver:
-        zero = np.zeros(1)
-        return solver.solve(block.gap, block.load.at(zero), None, np.zeros_like(block.gap), zero)
+        return start(block, solver)[0]
 
 
 def simulate_one(

@@ -28,24 +28,21 @@ def memory_needed(case: Case, ranks: int) -> float:
     and the responses of whole boundaries where the case stores their fields; on one rank the
     history.
     """
-    n = float(case.mesh.contact_elements)
+    n, rows = float(case.mesh.contact_elements), case.stored_rows
     elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
-    # two at each of two nodes an element; on the fixed face, n/2 elements, at one
-    systems = _numbers_of_systems(4.0 * elements - n, n, ranks)
-    history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
+    # two unknowns at each of two nodes an element; on the fixed face, n/2 elements, at one
+    numbers = _numbers_of_systems(4.0 * elements - n, n, ranks)
+    numbers += ranks * 8.0 * n**2 + len(case.output.fields) * n * rows
     # displacements of two nodes an element and its traction, of both bodies and n loads
-    responses = 2.0 * 9.0 * n * elements
+    responses = ranks * 2.0 * 9.0 * n * elements
     if case.output.boundary != "none":
-        shared += responses
-        # what is stored of them; an element has six coordinates, six displacements and more
-        rows = 1.0 if case.output.boundary == "last" else case.stored_rows
-        history += 2.0 * 15.0 * elements * rows
+        # an element that is stored has six coordinates, six displacements and more
+        stored = 1.0 if case.output.boundary == "last" else rows
+        numbers += responses + 2.0 * 15.0 * elements * stored
     if case.stress is not None:
-        kept_at, stored_at = stress_numbers(case)
-        systems += 6.0 * n * kept_at  # six components for each load at each point
-        shared += responses + stored_at
-        history += 2.0 * stored_at
-    return 8.0 * (systems + ranks * shared + history)
+        points, stored = stress_numbers(case)
+        numbers += responses + 6.0 * n * points + (ranks + 2.0) * stored
+    return 8.0 * numbers
 
 
 def stress_numbers(case: Case) -> tuple[float, float]:
@@ -74,8 +71,6 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     rows = 1.25 * matrix + 1.5 * right
     # of one body after another: its rows, their factors, the values on its whole boundary
     alone = 2.0 * rows + 2.25 * right
-    if ranks == 1:
-        return alone
     from ringwear_par.elasticity.bem.solve import has_scalapack, solved_on_one_rank
 
     if solved_on_one_rank(round(unknowns), ranks):
@@ -138,19 +133,13 @@ def check_mesh(case: Case, name: str) -> None:
     ------
     InputError : with the smallest length.
     """
-    made_by = (
-        f"mesh.grading = {case.mesh.grading:g}, mesh.contact_elements = "
-        f"{case.mesh.contact_elements}"
-    )
     for body, ring in zip(BODIES, case.rings, strict=True):
         fine, least = case.stress is not None, _SHORTEST * ring.r[1]
         zones = zone_meshes(case.section(ring), case.line, case.mesh, fine=fine)
         ends = np.concatenate([zone.nodes[zone.elements] for zone in zones])
         shortest = np.hypot(*(ends[:, 2] - ends[:, 0]).T).min()
-        made = f"{made_by}, {body}.layers" if ring.layers else made_by
-        lengths = {f"{body}.r[0]": ring.r[0] or np.inf, f"{made}: the shortest element": shortest}
-        for what, length in lengths.items():
-            if length < least:
-                raise InputError(
-                    f"{name}: {what} is {length:.1e} mm; must be at least {least:.1e} mm"
-                )
+        what = f"mesh.grading, mesh.contact_elements or {body}.layers: the shortest element"
+        if 0.0 < ring.r[0] < least:
+            what, shortest = f"{body}.r[0]", ring.r[0]
+        if shortest < least:
+            raise InputError(f"{name}: {what} is {shortest:.1e} mm; must be >= {least:.1e} mm")

@@ -1,6 +1,6 @@
 """Stresses and boundary fields of the stored states that cases ask for."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +11,9 @@ from ringwear_par.cases.case import SAME_TIME, Case, Side, Stress
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import MESH_FIELDS, mises
-from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
+from ringwear_par.elasticity.stress.recovery import BoundaryRecovery, StressPoints, StressRecovery
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS
-from ringwear_par.history.elastic import boundary_recovery, operator_key
+from ringwear_par.history.elastic import boundary_recovery
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
 #: infinite there; and these elements
@@ -56,44 +56,23 @@ def selected(which: str | tuple[float, ...], moment: Moment, last_stored: float)
 def stacked(states: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the arrays that states have, one after another along a new first axis."""
     names = [name for name in states[-1] if name in states[0]] if states else []
-    return {name: np.array([state[name] for state in states]) for name in names}
+    data = {name: np.array([state[name] for state in states]) for name in names}
+    return {name: v[0] if name.split("/")[-1] in MESH_FIELDS else v for name, v in data.items()}
 
 
-class Boundaries:
-    """Fields on the boundaries of lower and upper, of a case that has a history of its own.
+def boundary_state(recovery: BoundaryRecovery, case: Case, moment: Moment) -> dict[str, Any]:
+    """Return the fields on the boundaries of both bodies by place, see ``results.variables``.
 
-    Methods are collective on comm.
+    Collective on the recovery's comm.
     """
-
-    def __init__(self, case: Case, comm: MPI.Comm) -> None:
-        self._case, self._which = case, case.output.boundary
-        self._recovery = boundary_recovery(case, comm) if self._which != "none" else None
-        #: arrays of each state so far by place, see ``results.variables``
-        self.states: list[dict[str, Any]] = []
-
-    def __call__(self, moment: Moment, last_stored: float) -> None:
-        """Recover the fields of a stored state, if the case wants them."""
-        if self._recovery is None or not selected(self._which, moment, last_stored):
-            return
-        fields = self._recovery.fields(
-            moment.pressure, moment.approach, self._case.friction_at(moment.time), moment.wear,
-            moment.meshed,
-        )  # fmt: skip
-        state: dict[str, Any] = {}
-        for body, of in zip(BODIES, fields, strict=True):
-            values = {**vars(of), "time": moment.time, "steps_made": moment.steps}
-            state |= {f"boundary/{body}/{name}": value for name, value in values.items()}
-        self.states.append(state)
-
-    def arrays(self) -> dict[str, Any]:
-        """Return the fields so far by place."""
-        data = stacked(self.states)
-        return {n: v[0] if n.endswith(MESH_FIELDS) else v for n, v in data.items()}
-
-
-def stress_key(case: Case) -> Hashable:
-    """Return the key of the stresses of unit loads; equal for cases that can share them."""
-    return operator_key(case), case.mesh, case.lower.z[1], case.upper.z[0], case.stress
+    fields = recovery.fields(
+        moment.pressure, moment.approach, case.friction_at(moment.time), moment.wear, moment.meshed
+    )
+    state: dict[str, Any] = {}
+    for body, of in zip(BODIES, fields, strict=True):
+        values = {**vars(of), "time": moment.time, "steps_made": moment.steps}
+        state |= {f"boundary/{body}/{name}": value for name, value in values.items()}
+    return state
 
 
 class Stresses:
@@ -101,7 +80,7 @@ class Stresses:
 
     Parameters
     ----------
-    cases : of one ``stress_key``, or without stresses.
+    cases : of one ``block_key``.
     """
 
     def __init__(self, cases: Sequence[Case], comm: MPI.Comm) -> None:

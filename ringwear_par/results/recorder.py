@@ -15,10 +15,11 @@ from ringwear_par.cases.schema import STOP_CRITERIA
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS, Worst
+from ringwear_par.history.elastic import boundary_recovery
 from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import Boundaries, Moment, Stresses
+from ringwear_par.history.stresses import Moment, Stresses, boundary_state, selected, stacked
 from ringwear_par.results.fields import stored_states, stress_columns
 from ringwear_par.results.key_numbers import laboratory_numbers
 from ringwear_par.results.result import (
@@ -157,7 +158,7 @@ class Recorder:
 
     Parameters
     ----------
-    cases : of one ``block_key``, and ``stress_key`` where they ask for stresses.
+    cases : of one ``block_key``.
     comm : communicator of their histories.
     before : result of the interrupted history that continues, of one case; None: it starts.
     results : whether there are to be results, which hold what it takes to continue.
@@ -176,8 +177,10 @@ class Recorder:
         case, count = cases[0], len(cases)
         self._cases, self._comm, self._pair_is_shared = cases, comm, pair_is_shared
         self._worst = Worst(count)
-        self._boundaries = Boundaries(case, comm)
         self._stresses = Stresses(cases, comm)
+        #: of a case that wants fields on boundaries: their recovery, and those of each state so far
+        self._recovery = None if case.output.boundary == "none" else boundary_recovery(case, comm)
+        self._boundaries: list[dict[str, Any]] = []
         #: the rows so far by variable, as they came; the last values of what has no rows, (B, ...)
         self._rows: dict[str, list[Any]] = {"number": [np.empty(0, np.int64)]}
         self._last: dict[str, FloatArray] = {}
@@ -227,7 +230,7 @@ class Recorder:
             last[0] = of[name]
         self._last_time[0] = times[rows][-1]
         if case.output.boundary != "last":
-            self._boundaries.states = stored_states(before.data, "boundary_step", times[rows])
+            self._boundaries = stored_states(before.data, "boundary_step", times[rows])
         if case.stress is not None and case.stress.times != "last":
             self._stresses.states[0] = stored_states(before.data, "stress_step", times[rows])
         if not self._stresses.states[0]:
@@ -251,7 +254,8 @@ class Recorder:
         if case.stress is not None or case.output.boundary != "none":
             for place, history in enumerate(number.tolist()):
                 state, before = _moment(instant, place), float(self._last_time[history])
-                self._boundaries(state, before)
+                if self._recovery is not None and selected(case.output.boundary, state, before):
+                    self._boundaries.append(boundary_state(self._recovery, case, state))
                 for name, entries in self._stresses(history, state, before).items():
                     self._worst.take(name, np.array([history]), *np.array([entries]).T)
         for name, rows in self._rows.items():
@@ -359,7 +363,7 @@ class Recorder:
                     of[f"layer_end_{BODIES[body]}"] = self._cases[i].layer_ends(body)
                 if not any(ring.densities):  # those of other cases may be known
                     of.pop(f"mass_lost_{BODIES[body]}", None)
-            of |= {**self._stresses.arrays(i), **self._boundaries.arrays()}
+            of |= {**self._stresses.arrays(i), **stacked(self._boundaries)}
             worst = {name: values[:, i] for name, values in self._worst.measures.items()}
             assert self.last is not None
             instant, place = self._ended.get(i, (self.last, 0))
