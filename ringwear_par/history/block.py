@@ -11,6 +11,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.history.elastic import operator_key
 from ringwear_par.schedules import Schedules, Table, padded, value
 from ringwear_par.wear.step import StepWear, Wearing
 from ringwear_par.wear.user import user
@@ -90,12 +91,13 @@ class Block:
         limits = padded(step_times or [_limits(c) for c in cases])
         stop = [dict(c.stop) for c in cases]
         loads = [c.load.force if by_force else c.load.displacement for c in cases]
+        factors: Any = paces and np.array([*map(padded, zip(*paces, strict=True))])[bodies]
         return cls(
             cases=whole,
             line=line,
             compliance=Compliance.of(line, pair, softness),
             number=np.arange(len(cases)),
-            gap=_gaps(cases),
+            gap=_gaps(cases, line.r),
             load=Schedules.of([0.0 if load is None else load for load in loads]),
             by_force=by_force,
             omega=Schedules.of([c.load.omega for c in cases]),
@@ -109,7 +111,7 @@ class Block:
             deepest=np.array([[0.5 * np.ptp(c.rings[i].z) for i in bodies] for c in cases]),
             open_ends=tuple(e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut),
             given_steps=step_times is not None or not case.time.adaptive,
-            paces=None if paces is None else _paces(paces, bodies, limits.shape[1]),
+            paces=factors,
         )
 
     def __len__(self) -> int:
@@ -119,11 +121,6 @@ class Block:
     def layered(self) -> bool:
         """Whether a body has layers."""
         return any(len(body.laws) > 1 for body in self.wearing)
-
-    @cached_property
-    def is_local(self) -> bool:
-        """Whether the wear of each element depends on its own pressure alone."""
-        return not any(body.length for body in self.wearing)
 
     def worn_gap(self, wear: FloatArray) -> FloatArray:
         """Return the gaps (B, n) mm of undeformed profiles worn by (w, B, n) mm."""
@@ -174,7 +171,8 @@ def block_key(case: Case) -> Hashable:
     """Return the key of cases that can be in one block.
 
     They have the same contact elements, slopes of faces, open ends of the mesh, nominal areas, and
-    layers on bodies that do not wear; other heights, moduli and Poisson's ratios.
+    layers on bodies that do not wear; other heights, moduli and Poisson's ratios, except where
+    stresses are stored.
     """
     laws = tuple(tuple(law.key for law in of_body) for of_body in case.laws)
     elements = case.contact, case.mesh, *((ring.r, ring.face) for ring in case.rings)
@@ -184,18 +182,15 @@ def block_key(case: Case) -> Hashable:
     )
     output = case.output
     alone = id(case) if case.follows_wear or output.boundary != "none" else 0
-    stored = output.fields, output.profiles, bool(output.times), case.stress
+    stress = case.stress and (case.stress, operator_key(case), case.lower.z[1], case.upper.z[0])
+    stored = output.fields, output.profiles, bool(output.times), stress
     return case.time.scheme, case.load.force is not None, laws, elements, layers, *stored, alone
 
 
-def _gaps(cases: Sequence[Case]) -> FloatArray:
-    """Return the gaps of the unworn faces, (B, n) mm, worked out once for equal faces."""
-    known: dict[Hashable, FloatArray] = {}
-    keys = [(*((ring.r, ring.z, ring.face) for ring in c.rings), c.mesh.contact) for c in cases]
-    for key, case in zip(keys, cases, strict=True):
-        if key not in known:
-            known[key] = case.initial_gap
-    return np.array([known[key] for key in keys])
+def _gaps(cases: Sequence[Case], r: FloatArray) -> FloatArray:
+    """Return the gaps of the unworn faces at radii, (B, n) mm; faces differ in heights alone."""
+    lower, upper = (section.depth(r) for section in cases[0].sections)
+    return np.array([[c.upper.z[0] - c.lower.z[1]] for c in cases]) - lower - upper
 
 
 def _limits(case: Case) -> list[float]:
@@ -203,28 +198,18 @@ def _limits(case: Case) -> list[float]:
     time, steps = case.time, case.breakpoints
     if not time.adaptive:
         steps = tuple((time.step * np.arange(1, time.steps + 1)).tolist())
-        if not case.output.times:
-            return [*steps]
-    limits: list[float] = []
-    for t in sorted({*steps, *case.output.times, time.end}):
-        if 0.0 < t <= time.end and not (limits and t - limits[-1] <= SAME_TIME * t):
-            limits.append(t)
-    return [*limits[:-1], time.end]
+    times = np.array(sorted({*steps, *case.output.times, time.end}))
+    apart = np.diff(times, prepend=0.0) > SAME_TIME * times
+    return [*times[apart & (times <= time.end)][:-1], time.end]
 
 
 def _stored(cases: Sequence[Case], limits: FloatArray) -> BoolArray:
     """Return which of the limits are times of output, (B, m)."""
     stored = np.zeros(limits.shape, bool)
-    for row, case in enumerate(cases):
-        for time in case.output.times:
-            stored[row] |= np.abs(limits[row] - time) <= SAME_TIME * time
+    if cases[0].output.times:
+        for times in padded([case.output.times for case in cases]).T[:, :, None]:
+            stored |= np.abs(limits - times) <= SAME_TIME * times
     return stored
-
-
-def _paces(paces: Sequence[FloatArray], bodies: Sequence[int], count: int) -> FloatArray:
-    """Return factors on the rates of bodies in all steps, (w, B, m)."""
-    wide = [np.pad(pace, ((0, 0), (0, count - pace.shape[1])), mode="edge") for pace in paces]
-    return np.array(wide).swapaxes(0, 1)[list(bodies)]
 
 
 def _wearing(cases: Cases, body: int, line: Line) -> Wearing:

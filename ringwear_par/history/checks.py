@@ -3,6 +3,7 @@
 Sentences are for the end, see ``results.warnings``.
 """
 
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -67,9 +68,8 @@ class Worst:
     """
 
     def __init__(self, count: int) -> None:
-        self._count = count
         #: (ENTRIES, B) each, by name
-        self.measures: dict[str, FloatArray] = {}
+        self.measures = defaultdict[str, FloatArray](lambda: np.zeros((ENTRIES, count)))
 
     def __call__(self, instant: Instant) -> None:
         """Take new states."""
@@ -80,12 +80,12 @@ class Worst:
 
     def take(self, name: str, number: IntArray, value: Any, *place: FloatArray) -> None:
         """Take values of a measure of histories of these numbers, with times and places."""
-        measure = self.measures.setdefault(name, np.zeros((ENTRIES, self._count)))
-        value = np.broadcast_to(value, len(number))
+        measure, value = self.measures[name], np.broadcast_to(value, len(number))
         # by more than round-off, which would choose the time of what is constant; NaN too
         worse = ~(value <= measure[0, number] * (1.0 + _ROUND_OFF))
-        for entry, column in enumerate((value, *place)):
-            measure[entry, number[worse]] = column[worse]
+        if worse.any():
+            for entry, column in enumerate((value, *place)):
+                measure[entry, number[worse]] = column[worse]
 
     def balances(self, number: int) -> dict[str, float]:
         """Return the worst balances of one history."""
@@ -94,8 +94,7 @@ class Worst:
     @property
     def imbalance(self) -> FloatArray:
         """(B,) the worst of the balances that hold on any mesh, by any steps."""
-        none = np.zeros((ENTRIES, self._count))
-        return np.max([self.measures.get(name, none)[0] for name in _EXACT], axis=0)
+        return np.max([self.measures[name][0] for name in _EXACT], axis=0)
 
 
 def balances(instant: Instant) -> dict[str, Any]:

@@ -1,11 +1,11 @@
-"""Elasticity that is assembled of a case's bodies: contact pairs, updated geometry, fields."""
+"""Elasticity that is assembled of a case's bodies: contact pairs, and fields on boundaries."""
 
 from collections.abc import Hashable
 
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case, need_case
-from ringwear_par.elasticity.bem.pair import ContactPair, UpdatedGeometry, assemble_pair
+from ringwear_par.elasticity.bem.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.mesh import pair_key
 from ringwear_par.elasticity.sections import Body, Material
 from ringwear_par.elasticity.stress.recovery import BoundaryRecovery
@@ -54,11 +54,6 @@ def assemble(case: Case, comm: MPI.Comm | None = None) -> ContactPair:
     need_case(case, "assemble")
     comm = MPI.COMM_WORLD if comm is None else comm
     return assemble_pair(bodies(case), case.line, case.mesh, comm)
-
-
-def updated_geometry(case: Case, comm: MPI.Comm) -> UpdatedGeometry:
-    """Return the elasticity of a case whose elements follow the wear. Collective on comm."""
-    return UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
 
 
 def boundary_recovery(case: Case, comm: MPI.Comm, *, fine: bool = False) -> BoundaryRecovery:

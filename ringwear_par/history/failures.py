@@ -27,7 +27,6 @@ def step_failure(
     block: Block, state: State, step: Step, row: int, comm: MPI.Comm
 ) -> ComputationError:
     """Return why no step of a history is short enough. Collective on comm."""
-    case = block.cases.every[int(block.number[row])]
     if fault := _law_fault(block, row, comm):
         why = fault
     elif step.failed[row]:
@@ -38,7 +37,7 @@ def step_failure(
         why = "the estimated error of the step is not a number, and no step is short enough"
     else:
         why = (
-            f"errors exceed {case.time.tolerance:g} mm (time.tolerance; try a larger one), and no "
+            f"errors exceed {block.tolerance[row]:g} mm (time.tolerance; try a larger one), and no "
             "step is short enough"
         )
     where = f"in step {int(state.steps[row]) + 1}, from time {state.time[row]:g} s"
@@ -67,18 +66,16 @@ def interpenetration(block: Block, solver: Solver) -> dict[int, Exception]:
     """Return which undeformed bodies overlap by more than the largest force presses them."""
     if not block.by_force or not (block.gap < 0.0).any():
         return {}
-    cases = block.cases.every
-    overlaps = np.array([case.interpenetration for case in cases])
-    if not overlaps.any():
-        return {}
     p, zero = np.zeros_like(block.gap), np.zeros(len(block))
     approach = solver.solve(block.gap, block.load.y.max(axis=1), None, p, zero).approach
     failures: dict[int, Exception] = {}
-    for i in np.flatnonzero((overlaps > 0.0) & (approach < 0.0)).tolist():
+    for i in np.flatnonzero(approach < 0.0).tolist():
+        if (overlap := block.cases.every[i].interpenetration) == 0.0:
+            continue
         e = int(block.gap[i].argmin())
         failures[i] = UnfitError(
             f"upper.z, lower.z and contact faces: the undeformed bodies interpenetrate by "
-            f"{overlaps[i]:.6g} mm at element {e} (r = {block.line.r[e]:.6g} mm); must be at most "
-            f"the {overlaps[i] + approach[i]:.6g} mm that the load presses them together"
+            f"{overlap:.6g} mm at element {e} (r = {block.line.r[e]:.6g} mm); must be at most "
+            f"the {overlap + approach[i]:.6g} mm that the load presses them together"
         )
     return failures

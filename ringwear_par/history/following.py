@@ -9,10 +9,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.problem import Compliance, Line
 from ringwear_par.contact.tao import TaoContact
+from ringwear_par.elasticity.bem.pair import UpdatedGeometry
 from ringwear_par.elasticity.mesh import ContactLine
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.block import Block
-from ringwear_par.history.elastic import updated_geometry
+from ringwear_par.history.elastic import bodies
 from ringwear_par.history.schemes import settled
 from ringwear_par.history.state import State
 
@@ -22,7 +24,7 @@ class Following:
 
     def __init__(self, case: Case, comm: MPI.Comm) -> None:
         self._tolerance = case.mesh.geometry_tolerance
-        self._geometry = updated_geometry(case, comm)
+        self._geometry = UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
         #: (2, n) mm, wear of the profiles that the elements are meshed on
         self._meshed = np.zeros((2, case.line.n))
         self.pair = self._geometry.update(self._meshed)
@@ -76,12 +78,8 @@ class Following:
         except ComputationError as error:
             raise ComputationError(_slivers(case.line, both) or str(error)) from error
         self._meshed, self.seconds = both, self.seconds + self.pair.seconds
-        return replace(
-            block,
-            line=line,
-            compliance=compliance,
-            gap=case.initial_gap[None] - offset,
-        )
+        gap = case.initial_gap[None] - offset
+        return replace(block, line=line, compliance=compliance, gap=gap)
 
 
 def _slivers(line: ContactLine, wear: FloatArray) -> str:
@@ -93,9 +91,7 @@ def _slivers(line: ContactLine, wear: FloatArray) -> str:
         return ""
     less, more = sorted((e, e + 1), key=lambda place: wear[body, place])
     return (
-        f"elements that follow the wear: {('lower', 'upper')[body]} is worn by "
-        f"{wear[body, more]:.4g} mm at r = {line.r[more]:.6g} mm and by "
-        f"{wear[body, less]:.4g} mm at r = {line.r[less]:.6g} mm beside it; what stands out "
-        f"by {steep[body, e]:.2g} times the width of an element is no face that can be computed"
-        ': mesh.geometry = "fixed", or laws of wear that differ less, must be used'
+        f"elements that follow the wear: {BODIES[body]} is worn by {wear[body, more]:.4g} mm at "
+        f"r = {line.r[more]:.6g} mm and by {wear[body, less]:.4g} mm at r = {line.r[less]:.6g} mm "
+        'beside it: must differ less, or mesh.geometry = "fixed"'
     )

@@ -85,9 +85,8 @@ def enter_layers(block: Block, before: State, step: Step) -> Step:
     growth = 1.0 + np.clip(more / np.maximum(after.rates.sum(axis=0), 1e-300), 0.0, _MOST_GROWTH)
     gone = before.through.copy()
     for body, here, times in zip(block.wearing, layer, crossed, strict=True):
-        if len(body.laws) > 1:
-            last = np.where(here == len(body.laws) - 1, times, np.inf).min(axis=1)
-            gone[:, body.body] = np.minimum(gone[:, body.body], last)
+        last = np.where(here == len(body.laws) - 1, times, np.inf).min(axis=1)
+        gone[:, body.body] = np.minimum(gone[:, body.body], last)
     return replace(
         step,
         state=replace(

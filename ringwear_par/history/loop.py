@@ -17,7 +17,6 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.batched import choose, take
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.block import BlockSolver
-from ringwear_par.contact.problem import Contact
 from ringwear_par.contact.tao import TaoContact
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.block import Block
@@ -44,15 +43,11 @@ _IDLE = 0.125
 SHARED = 512
 
 
-def _deepest(block: Block, state: State, body: int) -> FloatArray:
-    return block.both(state.wear)[body].max(axis=1)
-
-
 #: quantities of which a limit ends histories, (B,): the keys of [stop] in a case
 STOP: Mapping[str, Callable[[Block, State], FloatArray]] = {
     "penetration": lambda block, state: state.approach - state.first_approach,
-    "wear_lower": lambda block, state: _deepest(block, state, 0),
-    "wear_upper": lambda block, state: _deepest(block, state, 1),
+    "wear_lower": lambda block, state: block.both(state.wear)[0].max(axis=1),
+    "wear_upper": lambda block, state: block.both(state.wear)[1].max(axis=1),
     "energy": lambda block, state: state.energy,
 }
 
@@ -104,7 +99,8 @@ def simulate(
     """
     # rows of small systems are not worth messages
     own = comm if len(block.line.r) >= SHARED else MPI.COMM_SELF
-    needed = tao or following is not None or not block.is_local
+    is_local = not any(body.length for body in block.wearing)
+    needed = tao or following is not None or not is_local
     with TaoContact(block.compliance, block.by_force, own) if needed else nullcontext() as by_tao:
         scheme = BY_NAME[block.cases.every[0].time.scheme]
         failures: dict[int, Exception] = {}
@@ -150,7 +146,8 @@ def simulate(
             ended = accepted & ~off & (state.time >= block.limits[:, -1])
             for name, most in block.stop.items():
                 ended |= done & ~off & (STOP[name](block, state) >= most)
-            due = (passed & block.stored[rows, limit]) | (done & _is_due(block, state))
+            due = done & (block.every > 0) & (state.steps % np.maximum(block.every, 1) == 0)
+            due |= passed & block.stored[rows, limit]
             stored = ended | (due & ~off)
             going = going & ~(ended | stuck | off)
             shown = done & ~off if every else stored
@@ -176,12 +173,11 @@ def _start(block: Block, solver: Solver, comm: MPI.Comm) -> tuple[State, dict[in
     return state, failures
 
 
-def first_contact(case: Case, comm: MPI.Comm) -> Contact:
+def first_contact(case: Case, comm: MPI.Comm) -> State:
     """Return the contact of a case before any wear, as of a block of one. Collective on comm."""
     block = Block.of([case], [assemble(case, comm)])
     with TaoContact(block.compliance, block.by_force) as solver:
-        zero = np.zeros(1)
-        return solver.solve(block.gap, block.load.at(zero), None, np.zeros_like(block.gap), zero)
+        return start(block, solver)[0]
 
 
 def simulate_one(
@@ -223,11 +219,6 @@ def _is_off(block: Block, state: State) -> BoolArray:
     for element in block.open_ends:
         off |= state.pressure[:, element] > 0.0
     return off
-
-
-def _is_due(block: Block, state: State) -> BoolArray:
-    """Return whether as many steps are made as lie between states that cases store, (B,)."""
-    return (block.every > 0) & (state.steps % np.maximum(block.every, 1) == 0)
 
 
 def _instant(

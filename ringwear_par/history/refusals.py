@@ -17,6 +17,8 @@ from ringwear_par.files.text import toml_value
 SEARCHED = 4000.0
 #: of a machine's memory that a run may take
 _SHARE_OF_MEMORY = 0.9
+#: least length of an element, and radius of a hole, in outer radii
+_SHORTEST = 1e-11
 
 
 def memory_needed(case: Case, ranks: int) -> float:
@@ -26,24 +28,21 @@ def memory_needed(case: Case, ranks: int) -> float:
     and the responses of whole boundaries where the case stores their fields; on one rank the
     history.
     """
-    n = float(case.mesh.contact_elements)
+    n, rows = float(case.mesh.contact_elements), case.stored_rows
     elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
-    # two at each of two nodes an element; on the fixed face, n/2 elements, at one
-    systems = _numbers_of_systems(4.0 * elements - n, n, ranks)
-    history, shared = len(case.output.fields) * n * case.stored_rows, 8.0 * n**2
+    # two unknowns at each of two nodes an element; on the fixed face, n/2 elements, at one
+    numbers = _numbers_of_systems(4.0 * elements - n, n, ranks)
+    numbers += ranks * 8.0 * n**2 + len(case.output.fields) * n * rows
     # displacements of two nodes an element and its traction, of both bodies and n loads
-    responses = 2.0 * 9.0 * n * elements
+    responses = ranks * 2.0 * 9.0 * n * elements
     if case.output.boundary != "none":
-        shared += responses
-        # what is stored of them; an element has six coordinates, six displacements and more
-        rows = 1.0 if case.output.boundary == "last" else case.stored_rows
-        history += 2.0 * 15.0 * elements * rows
+        # an element that is stored has six coordinates, six displacements and more
+        stored = 1.0 if case.output.boundary == "last" else rows
+        numbers += responses + 2.0 * 15.0 * elements * stored
     if case.stress is not None:
-        kept_at, stored_at = stress_numbers(case)
-        systems += 6.0 * n * kept_at  # six components for each load at each point
-        shared += responses + stored_at
-        history += 2.0 * stored_at
-    return 8.0 * (systems + ranks * shared + history)
+        points, stored = stress_numbers(case)
+        numbers += responses + 6.0 * n * points + (ranks + 2.0) * stored
+    return 8.0 * numbers
 
 
 def stress_numbers(case: Case) -> tuple[float, float]:
@@ -72,8 +71,6 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
     rows = 1.25 * matrix + 1.5 * right
     # of one body after another: its rows, their factors, the values on its whole boundary
     alone = 2.0 * rows + 2.25 * right
-    if ranks == 1:
-        return alone
     from ringwear_par.elasticity.bem.solve import has_scalapack, solved_on_one_rank
 
     if solved_on_one_rank(round(unknowns), ranks):
@@ -130,33 +127,19 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
 
 
 def check_mesh(case: Case, name: str) -> None:
-    """Refuse a mesh whose smallest elements drown in round-off. Not collective.
+    """Refuse a hole, or elements, whose size drowns in round-off. Not collective.
 
     Raises
     ------
     InputError : with the smallest length.
     """
     for body, ring in zip(BODIES, case.rings, strict=True):
-        if 0.0 < ring.r[0] < 1e-13 * ring.r[1]:
-            raise InputError(
-                f"{name}: {body}.r = [{ring.r[0]:g}, {ring.r[1]:g}]: the inner radius must be 0 or "
-                f"at least {1e-13 * ring.r[1]:.1e} mm"
-            )
-        fine = case.stress is not None
-        for i, zone in enumerate(zone_meshes(case.section(ring), case.line, case.mesh, fine=fine)):
-            ends = zone.nodes[zone.elements]
-            lengths = np.hypot(*(ends[:, 2] - ends[:, 0]).T)
-            shortest, least = float(lengths.min()), 1e-11 * ring.r[1]
-            if shortest >= least:
-                continue
-            keys = (
-                f"mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
-                f"{case.mesh.contact_elements}"
-            )
-            if ring.layers and lengths.argmin() in [*zone.inner_side, *zone.outer_side]:
-                thin = f"{body}.layers[{i}].thickness: is thin"
-                keys = thin if i < len(ring.layers) else f"{body}.layers: leave little of {body}"
-            raise InputError(
-                f"{name}: {keys}: the shortest element is {shortest:.1e} mm; must be at least "
-                f"{least:.1e} mm"
-            )
+        fine, least = case.stress is not None, _SHORTEST * ring.r[1]
+        zones = zone_meshes(case.section(ring), case.line, case.mesh, fine=fine)
+        ends = np.concatenate([zone.nodes[zone.elements] for zone in zones])
+        shortest = np.hypot(*(ends[:, 2] - ends[:, 0]).T).min()
+        what = f"mesh.grading, mesh.contact_elements or {body}.layers: the shortest element"
+        if 0.0 < ring.r[0] < least:
+            what, shortest = f"{body}.r[0]", ring.r[0]
+        if shortest < least:
+            raise InputError(f"{name}: {what} is {shortest:.1e} mm; must be >= {least:.1e} mm")

@@ -75,7 +75,7 @@ def implicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Ste
     stage = block.step_wear(state.layer, end, sliding, state.wear, h)
     contact = solver.solve(gap, block.load.at(end), stage, state.pressure, state.approach)
     wear = state.wear + stage.depths(contact.pressure)
-    return _first_order(block, state, end, wear, contact.pressure, contact)
+    return _first_order(block, state, end, sliding, wear, contact.pressure, contact)
 
 
 def explicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
@@ -84,7 +84,7 @@ def explicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Ste
     now = block.step_wear(state.layer, state.time, sliding, state.wear, h)
     wear = state.wear + h[:, None] * now.rates(p)
     contact = solver.solve(block.worn_gap(wear), block.load.at(end), None, p, state.approach)
-    return _first_order(block, state, end, wear, p, contact)
+    return _first_order(block, state, end, sliding, wear, p, contact)
 
 
 def _mean_sliding(block: Block, state: State, end: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -95,12 +95,13 @@ def _first_order(
     block: Block,
     state: State,
     end: FloatArray,
+    sliding: tuple[FloatArray, FloatArray],
     wear: FloatArray,
     p: FloatArray,
     contact: Contact,
 ) -> Step:
     """Return a step to a contact, in which one pressure wears throughout; p (B, n) MPa."""
-    h, (omega, friction) = end - state.time, _mean_sliding(block, state, end)
+    h, (omega, friction) = end - state.time, sliding
     rates, work = rates_at(block, state.layer, end, wear, contact.pressure), omega * block.moment(p)
     after = replace(
         state,

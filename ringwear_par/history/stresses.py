@@ -1,6 +1,6 @@
 """Stresses and boundary fields of the stored states that cases ask for."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +11,9 @@ from ringwear_par.cases.case import SAME_TIME, Case, Side, Stress
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import MESH_FIELDS, mises
-from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
+from ringwear_par.elasticity.stress.recovery import BoundaryRecovery, StressPoints, StressRecovery
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS
-from ringwear_par.history.elastic import boundary_recovery, operator_key
+from ringwear_par.history.elastic import boundary_recovery
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
 #: infinite there; and these elements
@@ -22,8 +22,6 @@ _RISING, _ENDS = 1.2, ((0, 3), (-1, -4))
 _SIDES: dict[Side, float] = {"above": 1.0, "": 0.0, "below": -1.0}
 #: where a largest stress is, see ``fields.Largest``
 _PLACE = ("r", "z", "layer")
-#: arrays that are stored of single histories alone
-_FIELDS = ("stress_grid", *(f"surface_stress_{body}" for body in BODIES))
 
 
 class Moment(NamedTuple):
@@ -58,44 +56,23 @@ def selected(which: str | tuple[float, ...], moment: Moment, last_stored: float)
 def stacked(states: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the arrays that states have, one after another along a new first axis."""
     names = [name for name in states[-1] if name in states[0]] if states else []
-    return {name: np.array([state[name] for state in states]) for name in names}
+    data = {name: np.array([state[name] for state in states]) for name in names}
+    return {name: v[0] if name.split("/")[-1] in MESH_FIELDS else v for name, v in data.items()}
 
 
-class Boundaries:
-    """Fields on the boundaries of lower and upper, of a case that has a history of its own.
+def boundary_state(recovery: BoundaryRecovery, case: Case, moment: Moment) -> dict[str, Any]:
+    """Return the fields on the boundaries of both bodies by place, see ``results.variables``.
 
-    Methods are collective on comm.
+    Collective on the recovery's comm.
     """
-
-    def __init__(self, case: Case, comm: MPI.Comm) -> None:
-        self._case, self._which = case, case.output.boundary
-        self._recovery = boundary_recovery(case, comm) if self._which != "none" else None
-        #: arrays of each state so far by place, see ``results.variables``
-        self.states: list[dict[str, Any]] = []
-
-    def __call__(self, moment: Moment, last_stored: float) -> None:
-        """Recover the fields of a stored state, if the case wants them."""
-        if self._recovery is None or not selected(self._which, moment, last_stored):
-            return
-        fields = self._recovery.fields(
-            moment.pressure, moment.approach, self._case.friction_at(moment.time), moment.wear,
-            moment.meshed,
-        )  # fmt: skip
-        state: dict[str, Any] = {}
-        for body, of in zip(BODIES, fields, strict=True):
-            values = {**vars(of), "time": moment.time, "steps_made": moment.steps}
-            state |= {f"boundary/{body}/{name}": value for name, value in values.items()}
-        self.states.append(state)
-
-    def arrays(self) -> dict[str, Any]:
-        """Return the fields so far by place."""
-        data = stacked(self.states)
-        return {n: v[0] if n.endswith(MESH_FIELDS) else v for n, v in data.items()}
-
-
-def stress_key(case: Case) -> Hashable:
-    """Return the key of the stresses of unit loads; equal for cases that can share them."""
-    return operator_key(case), case.mesh, case.lower.z[1], case.upper.z[0], case.stress
+    fields = recovery.fields(
+        moment.pressure, moment.approach, case.friction_at(moment.time), moment.wear, moment.meshed
+    )
+    state: dict[str, Any] = {}
+    for body, of in zip(BODIES, fields, strict=True):
+        values = {**vars(of), "time": moment.time, "steps_made": moment.steps}
+        state |= {f"boundary/{body}/{name}": value for name, value in values.items()}
+    return state
 
 
 class Stresses:
@@ -103,37 +80,31 @@ class Stresses:
 
     Parameters
     ----------
-    cases : of one ``stress_key``, or without stresses.
-    points_only : keep no grids and no faces.
+    cases : of one ``block_key``.
     """
 
-    def __init__(self, cases: Sequence[Case], comm: MPI.Comm, *, points_only: bool = False) -> None:
-        self._cases, self._points_only = cases, points_only
+    def __init__(self, cases: Sequence[Case], comm: MPI.Comm) -> None:
+        self._cases = cases
         #: arrays of each state so far by name, of each history
         self.states: list[list[dict[str, Any]]] = [[] for _ in cases]
-        #: why stresses of some histories could not be computed
-        self.failures: dict[int, Exception] = {}
         if cases[0].stress is not None:
             self._recover(cases[0], cases[0].stress, comm)
 
     def _recover(self, case: Case, stress: Stress, comm: MPI.Comm) -> None:
-        """Have the recovery of the stresses at the points and on the grid of a case."""
+        """Have the recovery of the stresses at the points of a case, those of its grid last."""
         axes = stress.grid.axes if stress.grid is not None else (np.empty(0), np.empty(0))
         points = np.array([point[:2] for point in stress.points]).reshape(-1, 2)
         names = [side for _, _, side in stress.points]
-        self._of_points, self._of_grid = np.array(point_bodies(case), int), grid_bodies(case)
-        on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        sides = np.array([_SIDES[side] for side in names])
-
-        def of(i: int) -> StressPoints:
-            of_body, grid = self._of_points == i, on_grid[self._of_grid == i]
-            return StressPoints(
-                np.concatenate([points[of_body], grid]),
-                np.concatenate([sides[of_body], np.zeros(len(grid))]),
-            )
-
+        on_grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        every = np.concatenate([points, on_grid])
+        sides = np.append([_SIDES[side] for side in names], np.zeros(len(on_grid)))
+        #: of which body each point is
+        self._body = np.append(np.array(point_bodies(case), int), grid_bodies(case))
+        lower, upper = (
+            StressPoints(every[self._body == i], sides[self._body == i]) for i in (0, 1)
+        )
         boundaries = boundary_recovery(case, comm, fine=True)
-        self._recovery = StressRecovery(boundaries, (of(0), of(1)), stress.exclude)
+        self._recovery = StressRecovery(boundaries, (lower, upper), stress.exclude)
         where: dict[str, Any] = {"grid_r": axes[0], "grid_z": axes[1]}
         for body, (r, z) in zip(BODIES, boundaries.interfaces(), strict=True):
             where |= {f"interface_r_{body}": r, f"interface_z_{body}": z}
@@ -153,45 +124,26 @@ class Stresses:
 
         Raises
         ------
-        Exception : those of a single history cannot be computed.
-        """
-        case = self._cases[number]
-        if case.stress is None or number in self.failures:
-            return {}
-        if not selected(case.stress.times, moment, last_stored):
-            return {}
-        try:
-            state = self._at(case, moment)
-        except Exception as error:
-            if len(self._cases) == 1:
-                raise
-            self.failures[number] = error
-            return {}
-        infinite = _infinite(case, self._where, state, moment)
-        for name in _FIELDS if self._points_only else ():
-            state.pop(name, None)
-        self.states[number].append(state)
-        return infinite
-
-    def _at(self, case: Case, moment: Moment) -> dict[str, Any]:
-        """Return the stresses of a state by name, see ``results.variables``.
-
-        Raises
-        ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
+        case = self._cases[number]
+        if case.stress is None or not selected(case.stress.times, moment, last_stored):
+            return {}
+        state = self._at(case, case.stress, moment)
+        self.states[number].append(state)
+        return _infinite(case, self._where, state, moment)
+
+    def _at(self, case: Case, stress: Stress, moment: Moment) -> dict[str, Any]:
+        """Return the stresses of a state by name, see ``results.variables``."""
         lower, upper = (
             wear >= (1.0 - 1e-13) * case.layer_ends(i) for i, wear in enumerate(moment.wear)
         )
         friction, gone = case.friction_at(moment.time), (lower, upper)
         both = self._recovery.stresses(moment.pressure, friction, moment.meshed, gone)
-        points = np.empty((len(self._of_points), 6))
-        grid = np.full((*self._of_grid.shape, 6), np.nan)
+        points = np.full((len(self._body), 6), np.nan)
         state: dict[str, Any] = {"stress_time": moment.time, "stress_steps_made": moment.steps}
         for i, (name, body) in enumerate(zip(BODIES, both, strict=True)):
-            count = np.count_nonzero(self._of_points == i)
-            points[self._of_points == i] = body.points[:count]
-            grid[self._of_grid == i] = body.points[count:]
+            points[self._body == i] = body.points
             state |= {
                 f"surface_stress_{name}": body.surface,
                 f"interface_stress_{name}": body.interfaces,
@@ -199,7 +151,9 @@ class Stresses:
                 f"max_mises_{name}": body.largest.mises,
                 **{f"max_mises_{name}_{at}": getattr(body.largest, at) for at in _PLACE},
             }
-        return _present({**state, "stress": points, "stress_grid": grid})
+        alone, n = len(stress.points), stress.grid.n if stress.grid is not None else (0, 0)
+        grid = points[alone:].reshape(*n, 6)
+        return _present({**state, "stress": points[:alone], "stress_grid": grid})
 
     def arrays(self, number: int) -> dict[str, Any]:
         """Return the stresses of a history so far by name, nothing where it has none."""

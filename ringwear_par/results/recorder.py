@@ -15,10 +15,11 @@ from ringwear_par.cases.schema import STOP_CRITERIA
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.checks import INFINITE_AT_INTERFACE, INFINITE_STRESS, Worst
+from ringwear_par.history.elastic import boundary_recovery
 from ringwear_par.history.layers import layer_left, layer_volumes
 from ringwear_par.history.loop import STOP, Instant
 from ringwear_par.history.state import State
-from ringwear_par.history.stresses import Boundaries, Moment, Stresses
+from ringwear_par.history.stresses import Moment, Stresses, boundary_state, selected, stacked
 from ringwear_par.results.fields import stored_states, stress_columns
 from ringwear_par.results.key_numbers import laboratory_numbers
 from ringwear_par.results.result import (
@@ -157,7 +158,7 @@ class Recorder:
 
     Parameters
     ----------
-    cases : of one ``block_key``, and ``stress_key`` where they ask for stresses.
+    cases : of one ``block_key``.
     comm : communicator of their histories.
     before : result of the interrupted history that continues, of one case; None: it starts.
     results : whether there are to be results, which hold what it takes to continue.
@@ -176,8 +177,10 @@ class Recorder:
         case, count = cases[0], len(cases)
         self._cases, self._comm, self._pair_is_shared = cases, comm, pair_is_shared
         self._worst = Worst(count)
-        self._boundaries = Boundaries(case, comm)
-        self._stresses = Stresses(cases, comm, points_only=not results)
+        self._stresses = Stresses(cases, comm)
+        #: of a case that wants fields on boundaries: their recovery, and those of each state so far
+        self._recovery = None if case.output.boundary == "none" else boundary_recovery(case, comm)
+        self._boundaries: list[dict[str, Any]] = []
         #: the rows so far by variable, as they came; the last values of what has no rows, (B, ...)
         self._rows: dict[str, list[Any]] = {"number": [np.empty(0, np.int64)]}
         self._last: dict[str, FloatArray] = {}
@@ -212,7 +215,7 @@ class Recorder:
         The last row of a history that was stopped, or ends later now, may not be among them.
         """
         self._before = before.attributes
-        self._worst.measures = {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
+        self._worst.measures |= {n: v[:, None].copy() for n, v in before.checkpoint.worst.items()}
         case, times = self._cases[0], before.data["time"]
         if case.output.times:
             near = np.abs(times[:, None] - case.output.times) <= SAME_TIME * times[:, None]
@@ -227,7 +230,7 @@ class Recorder:
             last[0] = of[name]
         self._last_time[0] = times[rows][-1]
         if case.output.boundary != "last":
-            self._boundaries.states = stored_states(before.data, "boundary_step", times[rows])
+            self._boundaries = stored_states(before.data, "boundary_step", times[rows])
         if case.stress is not None and case.stress.times != "last":
             self._stresses.states[0] = stored_states(before.data, "stress_step", times[rows])
         if not self._stresses.states[0]:
@@ -237,13 +240,8 @@ class Recorder:
     def __call__(self, instant: Instant) -> bool:
         """Take new states; store those that cases ask for. Collective."""
         self.last, numbers = instant, instant.block.number
-        stored = np.flatnonzero(instant.stored)
-        if len(stored):
-            some = instant
-            if len(stored) < len(numbers):
-                parts = (instant.block, instant.state, instant.stored, instant.ended)
-                some = Instant(*take(parts, stored), instant.following)
-            self._store(some)
+        if instant.stored.all():  # a single history also has instants that its case does not store
+            self._store(instant)
         for place in np.flatnonzero(instant.ended).tolist():
             self._ended[int(numbers[place])] = instant, place
         self._stepping = time.perf_counter() - self._started
@@ -256,7 +254,8 @@ class Recorder:
         if case.stress is not None or case.output.boundary != "none":
             for place, history in enumerate(number.tolist()):
                 state, before = _moment(instant, place), float(self._last_time[history])
-                self._boundaries(state, before)
+                if self._recovery is not None and selected(case.output.boundary, state, before):
+                    self._boundaries.append(boundary_state(self._recovery, case, state))
                 for name, entries in self._stresses(history, state, before).items():
                     self._worst.take(name, np.array([history]), *np.array([entries]).T)
         for name, rows in self._rows.items():
@@ -287,7 +286,7 @@ class Recorder:
 
     def columns(self, failures: Mapping[int, Exception]) -> HistoryColumns:
         """Return all histories as they are stored; those that failed have the rows before."""
-        failures, count = {**self._stresses.failures, **failures}, len(self._cases)
+        count = len(self._cases)
         offsets, data, last = self._columns()
         stresses = [self._stresses.arrays(number) for number in range(count)]
         whole = last | self._of_ends(offsets, data) | _points(stresses, count)
@@ -349,7 +348,6 @@ class Recorder:
         self, failures: Mapping[int, Exception], unstored: Instant | None = None, error: str = ""
     ) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none, see ``result``."""
-        failures = {**self._stresses.failures, **failures}
         offsets, data, last = self._columns(unstored)
         data |= laboratory_numbers(self._cases, data.pop("number"), data)
         results: list[Result | Exception] = []
@@ -365,7 +363,7 @@ class Recorder:
                     of[f"layer_end_{BODIES[body]}"] = self._cases[i].layer_ends(body)
                 if not any(ring.densities):  # those of other cases may be known
                     of.pop(f"mass_lost_{BODIES[body]}", None)
-            of |= {**self._stresses.arrays(i), **self._boundaries.arrays()}
+            of |= {**self._stresses.arrays(i), **stacked(self._boundaries)}
             worst = {name: values[:, i] for name, values in self._worst.measures.items()}
             assert self.last is not None
             instant, place = self._ended.get(i, (self.last, 0))

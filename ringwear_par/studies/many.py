@@ -21,7 +21,6 @@ from ringwear_par.history.elastic import assemble, operator_key
 from ringwear_par.history.following import Following
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.refusals import check_case, check_memory, check_mesh, stress_numbers
-from ringwear_par.history.stresses import stress_key
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
@@ -234,7 +233,7 @@ def computed(
             errors[number] = failure
         else:
             good[number] = case
-            groups[case.stress and stress_key(case), block_key(case)].append(number)
+            groups[block_key(case)].append(number)
     blocks: list[list[int]] = []
     for numbers in groups.values():
         # those of the same moduli share a matrix

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import ThresholdLaw, bodies, updated_geometry
+from parts import ThresholdLaw, bodies
 from paths import CASES
 from reference_cases import paper_case
+from tracing import updated_geometry
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import compliance

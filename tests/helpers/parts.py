@@ -34,7 +34,7 @@ PLACES = {
     "files.smoothing": "curve penalised",
     "files.spreadsheets": "write_xlsx",
     "files.text": "parse_toml toml_text",
-    "history.elastic": "bodies boundary_recovery operator_key updated_geometry",
+    "history.elastic": "bodies boundary_recovery operator_key",
     "history.loop": "first_contact simulate_one",
     "identification.definition.fit_file": "read_fit",
     "identification.definition.problem": "ProcessNoise Scatter Series",

@@ -19,11 +19,11 @@ from parts import (
 )
 from paths import CASES, PAPER
 from reference_cases import CONTACT, Rings, ring_case
-from tracing import ALONE, trace
+from tracing import ALONE, trace, updated_geometry
 
 import ringwear_par as rw
 from ringwear_par.history.block import Block
-from ringwear_par.history.elastic import assemble, bodies, updated_geometry
+from ringwear_par.history.elastic import assemble, bodies
 
 CHAMFER = CASES / "chamfer.toml"
 DEGREES = 10.0
