@@ -17,8 +17,7 @@ from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, ValidityWarning, legible
-from ringwear_par.files.folders import POSTERIOR, PREDICTION, check_folder
-from ringwear_par.files.writing import announce_replacement, closing_line
+from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.draws import (
     CONDITIONS,
@@ -29,6 +28,7 @@ from ringwear_par.identification.draws import (
     law_names,
     read_draws,
 )
+from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
@@ -132,25 +132,17 @@ def run_predict(
         mm = read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
-        check_folder(folder, FILES, "predict")
-        announce_replacement(folder / PREDICTION)
         return read_case(case, overrides), mm
 
-    whole, mm = on_first_rank(comm, begin)
-    result = replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=mm)
-    on_first_rank(comm, lambda: result.save(folder))
-    if comm.rank == 0:
-        print(result.summary())
-        print(closing_line(folder, FILES))
+    def compute() -> Prediction:
+        whole, mm = on_first_rank(comm, begin)
+        return replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=mm)
+
+    into_folder(folder, FILES, comm, compute, "predict")
 
 
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
-    """Return the draws of a fit, or of the fit of a folder. Not collective.
-
-    Raises
-    ------
-    InputError : anything else, or a folder without a fit.
-    """
+    """Return the draws of a fit, or of the fit of a folder; InputError of anything else."""
     if isinstance(fit, Path | str):
         return read_draws(Path(fit, POSTERIOR))
     if not isinstance(draws := getattr(fit, "draws", None), Draws):

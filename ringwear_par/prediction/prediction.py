@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-FILES = (folders.DRAWS, folders.BAND, folders.PREDICTION)
+FILES = (folders.PREDICTION, folders.DRAWS, folders.BAND)
 #: histories that are predicted; the summary has the ends of all but two
 QUANTITIES = (
     "penetration", "approach", "force", "torque", "worn_volume_lower", "worn_volume_upper",
