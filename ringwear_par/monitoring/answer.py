@@ -22,6 +22,7 @@ from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.prediction.predict import doubts_of
 from ringwear_par.prediction.prediction import TimeTo
 from ringwear_par.results.key_numbers import time_words
 
@@ -87,7 +88,7 @@ def answer_of(
         "depth": found and found._asdict(), "alarm": alarm,
         "trace": [[t, *ends[goal]] for t, ends in zip(times, trace, strict=True)],
         "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
-        "doubts": _doubts_of(follower, specimen, alarm, end),
+        "doubts": _doubts(follower, specimen, test, alarm),
     }  # fmt: skip
     return {**answer, "summary": _lines(answer, found)}, specimen
 
@@ -134,18 +135,19 @@ def _keys(
     return keys
 
 
-def _doubts_of(
-    follower: Follower, specimen: Specimen, alarm: dict[str, float] | None, end: float
+def _doubts(
+    follower: Follower, specimen: Specimen, test: Experiment, alarm: dict[str, float] | None
 ) -> list[str]:
     """Return what speaks against the numbers, an alarm first."""
-    doubts = [*follower.doubts]
+    doubts = [doubt.text for doubt in doubts_of(follower.draws, test.case, follower.of)]
     if alarm is not None:
-        doubts.insert(
-            0,
-            f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} "
-            f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
-            "rig; all numbers are of the readings before",
+        time = time_words(alarm["time"], test.case.time.end)
+        text = (
+            f"alarm: readings leave the predicted band from {time} on (p = "
+            f"{alarm['probability']:.1g}): a transition, a layer worn through, or the rig; all "
+            "numbers are of the readings before"
         )
+        doubts.insert(0, text)
     inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
     if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
         doubts.append(
@@ -160,11 +162,7 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
 
     The least sum of squares over histories, nuisances and growth times is larger with the new ones
     by chi squared of as many degrees of freedom: by the squares of recursive residuals (Brown,
-    Durbin and Evans 1975).
-
-    Parameters
-    ----------
-    before, after : draws by old readings, and by these and the new ones.
+    Durbin and Evans 1975). Draws are by the old readings before, and by all after.
     """
     old, both = before.likelihood, follower.likelihood_like(before, after.test)
     if follower.problem.settings.loss == "student":
@@ -198,12 +196,8 @@ def time_to_goal(
 ) -> tuple[float | None, float]:
     """Return when the sd of a key is so much less, s, or None; and how much less at the end.
 
-    Records go on at their rate; histories are linear in the keys, by regression on the draws.
-
-    Parameters
-    ----------
-    key : its number.
-    ratio : of the sd that is wished over that by the readings until now.
+    Records go on at their rate; histories are linear in the keys, by regression on the draws. The
+    ratio is of the sd of key number ``key`` that is wished over that by the readings until now.
     """
     test, m = specimen.test, follower.m
     end = test.case.time.end

@@ -26,7 +26,7 @@ from ringwear_par.monitoring.answer import answer_of
 from ringwear_par.monitoring.follower import Follower
 from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
+from ringwear_par.prediction.predict import check_predicted, fit_draws
 from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
@@ -79,7 +79,7 @@ def run_follow(
             for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0))
             if number < least
         ]
-        percent, mm = _percent(to, faults), None if depth is None else read_depth(depth, faults)
+        percent, mm = _percent(to, faults), read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
@@ -96,9 +96,9 @@ def run_follow(
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
             if follower is None or frame != (problem.text, test.case.text, fixed):
-                followed, of, doubts = _followed(problem, after, known)
+                followed, of = _followed(problem, after, known)
                 readings.tell(f"histories of {legible(name)}")
-                follower = Follower(known, of, followed, readings, draws, seed, doubts)
+                follower = Follower(known, of, followed, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
             if _answer(follower, problem, percent, mm, folder):
                 return
@@ -179,8 +179,8 @@ def read_running(source: Path, name: str = "") -> Problem:
     return replace(problem, experiments=(replace(test, series=series),))
 
 
-def _followed(problem: Problem, after: Path, draws: Draws) -> tuple[Problem, str, list[str]]:
-    """Return the problem of a test with the random wear that the fit knows, whose test, and doubts.
+def _followed(problem: Problem, after: Path, draws: Draws) -> tuple[Problem, str]:
+    """Return the problem of a test with the random wear that the fit knows, and whose test it is.
 
     InputError for the test of another fit.
     """
@@ -201,5 +201,4 @@ def _followed(problem: Problem, after: Path, draws: Draws) -> tuple[Problem, str
     check_predicted(draws, test.case, problem.name, of)
     sizes = zip(BODIES, draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    problem = replace(problem, settings=replace(problem.settings, process=process))
-    return problem, of, [doubt.text for doubt in doubts_of(draws, test.case, of)]
+    return replace(problem, settings=replace(problem.settings, process=process)), of
