@@ -40,6 +40,28 @@ def _width(text: str) -> float:
     return width
 
 
+def _depth(text: str) -> float:
+    """Return a depth with its unit in mm."""
+    from ringwear_par.cases.units import has_unit
+
+    if not has_unit(text):
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must have a unit, such as '20 um'")
+    return _width(text)
+
+
+def _percent(text: str) -> float:
+    """Return a percentage."""
+    try:
+        percent = float(text.strip().removesuffix("%"))
+    except ValueError:
+        percent = math.nan
+    if not 1.0 <= percent < 100.0:
+        raise argparse.ArgumentTypeError(
+            f"{legible(text)}: must be a percentage, 1% to 99%, such as 15%"
+        )
+    return percent
+
+
 def _figure(text: str) -> Any:
     """Return the picture of a run, of this name."""
     return import_module("ringwear_par.pictures.figures").FigureFile(Path(text))
@@ -78,13 +100,13 @@ class _Arguments(argparse.ArgumentParser):
         self.path("source", metavar="FIT.toml", help="fit file")
         self.folder()
 
-    def draws(self, number: int) -> None:
+    def draws(self, number: int, least: int = 1) -> None:
         text = "penetration whose time to predict, '20 um'"
-        self.add_argument("--depth", metavar="DEPTH", help=text)
-        text = "number of draws (default: %(default)s)"
-        self.add_argument("--draws", type=int, default=number, metavar="N", help=text)
-        text = "seed of the draws (default: %(default)s)"
-        self.add_argument("--seed", type=int, default=0, metavar="N", help=text)
+        self.add_argument("--depth", type=_depth, metavar="DEPTH", help=text)
+        text, kind = "number of draws (default: %(default)s)", _whole(least, 10**7)
+        self.add_argument("--draws", type=kind, default=number, metavar="N", help=text)
+        text, kind = "seed of the draws (default: %(default)s)", _whole(0, 2**63 - 1)
+        self.add_argument("--seed", type=kind, default=0, metavar="N", help=text)
 
 
 # fmt: off
@@ -219,9 +241,9 @@ def parser() -> argparse.ArgumentParser:
     a.fit_file()
     a.path("--after", required=True, metavar="FITDIR", help="folder of the fit of earlier tests")
     a.add_argument("--test", metavar="NAME", help="experiment that runs (default: the last one)")
-    a.add_argument("--to", default="10%", metavar="PERCENT",
+    a.add_argument("--to", type=_percent, default="10%", metavar="PERCENT",
                    help="half width of the interval of k that is asked for (default: 10%%)")
-    a.draws(20_000)
+    a.draws(20_000, 2000)
     a.flag("--once", "answer once, by the readings that are there, and end")
 
     lines.append("\nother:")

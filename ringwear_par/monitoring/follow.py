@@ -6,12 +6,10 @@ Answers are written, and printed, as text and as a page, whenever the test's fil
 import logging
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.sections import BODIES
@@ -27,7 +25,6 @@ from ringwear_par.monitoring.follower import Follower
 from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.predict import check_predicted, fit_draws
-from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.progress import StopSignals
@@ -39,8 +36,6 @@ log = logging.getLogger(__name__)
 PAGE = "follow.html"
 #: s between two looks at the files
 _PAUSE = 2.0
-#: fewest draws
-_FEWEST = 2000
 
 
 def run_follow(
@@ -50,8 +45,8 @@ def run_follow(
     *,
     after: Path,
     test: str | None = None,
-    to: str = "10%",
-    depth: str | None = None,
+    to: float = 10.0,
+    depth: float | None = None,
     draws: int = 20_000,
     seed: int = 0,
     once: bool = False,
@@ -64,7 +59,7 @@ def run_follow(
     after : folder of the fit of earlier tests.
     test : name of the experiment; None: the last one.
     to : half width of the interval that is wished, in percent.
-    depth : of penetration, with its unit.
+    depth : mm, of penetration, whose time is predicted.
     once : whether only what there is now is read.
 
     Raises
@@ -73,19 +68,11 @@ def run_follow(
     ComputationError : the histories.
     """
 
-    def begin() -> tuple[Problem, Draws, float, float | None]:
-        faults = [
-            f"--{name} = {number}: must be a whole number >= {least}"
-            for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0))
-            if number < least
-        ]
-        percent, mm = _percent(to, faults), read_depth(depth, faults)
-        if faults:
-            raise InputError(*faults)
+    def begin() -> tuple[Problem, Draws]:
         check_folder(folder, (FOLLOW, PAGE), "follow")
-        return read_running(source, test or ""), fit_draws(after), percent, mm
+        return read_running(source, test or ""), fit_draws(after)
 
-    running, known, percent, mm = on_first_rank(comm, begin)
+    running, known = on_first_rank(comm, begin)
     name = running.experiments[0].name
 
     def answer() -> None:
@@ -100,7 +87,7 @@ def run_follow(
                 readings.tell(f"histories of {legible(name)}")
                 follower = Follower(known, of, followed, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
-            if _answer(follower, problem, percent, mm, folder):
+            if _answer(follower, problem, to, depth, folder):
                 return
         if follower is None:
             raise StoppedError("stopped before the first answer")
@@ -148,14 +135,6 @@ def _answer(
         lines += warning_lines([str(error)])
     print("\n".join(lines), flush=True)
     return bool(answer["ended"])
-
-
-def _percent(text: str, faults: list[str]) -> float:
-    with suppress(ValueError):
-        if 1.0 <= (percent := float(text.strip().removesuffix("%"))) < 100.0:
-            return percent
-    faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
-    return np.nan
 
 
 def read_running(source: Path, name: str = "") -> Problem:

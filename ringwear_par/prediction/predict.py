@@ -31,7 +31,7 @@ from ringwear_par.identification.draws import (
 from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
+from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction
 from ringwear_par.results.result import Result
 from ringwear_par.studies.many import results_of
 from ringwear_par.studies.variations import is_whole
@@ -118,25 +118,18 @@ def run_predict(
     of: str = "next specimen",
     draws: int = 1000,
     seed: int = 0,
-    depth: str | None = None,
+    depth: float | None = None,
 ) -> None:
     """Predict and write the outcome to a folder. Collective on comm.
 
     Parameters
     ----------
-    depth : of penetration with its unit, whose time is printed.
+    depth : mm, of penetration, whose time is printed.
     """
 
-    def begin() -> tuple[Case, float | None]:
-        faults: list[str] = []
-        mm = read_depth(depth, faults)
-        if faults:
-            raise InputError(*faults)
-        return read_case(case, overrides), mm
-
     def compute() -> Prediction:
-        whole, mm = on_first_rank(comm, begin)
-        return replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=mm)
+        whole = on_first_rank(comm, lambda: read_case(case, overrides))
+        return replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=depth)
 
     into_folder(folder, FILES, comm, compute, "predict")
 

@@ -1,7 +1,6 @@
 """A prediction: histories of a case at draws of what a fit knows, their bands and their folder."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,8 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.units import number_in
-from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible, warning_lines
 from ringwear_par.files import folders
@@ -69,15 +66,6 @@ class TimeTo(NamedTuple):
         )
         spread = "" if low == high else f" (from {low} to {high})"
         return f"{1e3 * self.depth:g} um of penetration: {middle}{spread}"
-
-
-def read_depth(text: str | None, faults: list[str]) -> float | None:
-    """Return a depth, mm, from a command's option with its unit; None, or a fault, if none."""
-    with suppress(RejectedError):
-        if text is None or (depth := number_in(text, "mm")) > 0.0:
-            return None if text is None else depth
-    faults.append(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
-    return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from parts import (
     TestLikelihood,
     TimeTo,
     fit_draws,
+    main,
     toml_text,
 )
 from scipy.special import logsumexp
@@ -149,7 +150,7 @@ def follow(path, folder, name="out", **options):
 def test_the_posterior_of_a_running_test(folder):
     """By hand; the interval narrows, and what half the test expects of the whole one is right."""
     path = running(folder)
-    stored = follow(path, folder, depth="5 um")
+    stored = follow(path, folder, depth=5e-3)
     key, problem = stored["keys"][K], problem_of(path)
     low, high = key["interval"]
     check(np.log([low, key["estimate"], high]), quantiles_of(*by_hand(problem, TRUE_K)))
@@ -163,7 +164,7 @@ def test_the_posterior_of_a_running_test(folder):
     wished = 50.0 * (at_40[3] - at_40[1]) / at_40[2]
     lines = (folder / "z.csv").read_text().splitlines(keepends=True)
     (folder / "half.csv").write_text("".join(lines[:16]) + lines[16][:4])  # and half a line
-    half = follow(running(folder, "half"), folder, to=f"{wished:.3f}%")
+    half = follow(running(folder, "half"), folder, to=wished)
     assert half["readings"] == 15
     assert half["goal"]["time"] == pytest.approx(at_40[0], abs=12.0)
     assert half["goal"]["at_end"] == pytest.approx(key["percent"], rel=0.1)
@@ -325,11 +326,8 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(folder, capsys):
     [
         ("test 9", (), {"test": "test 9"}),
         ("S1", ('"runs"', '"S1"'), {}),
-        ("15%", (), {"to": "0.15"}),
         ("fits contact.friction", ('"parameters" = {', MORE), {}),
         ("none.csv", ("z.csv", "none.csv"), {}),
-        ("--draws = 10(.|\n)*percentage(.|\n)*length", (),
-         {"draws": 10, "to": "a bit", "depth": "3 s"}),
     ],
 )  # fmt: skip
 def test_what_is_refused(word, edit, options, folder, tmp_path):
@@ -340,3 +338,17 @@ def test_what_is_refused(word, edit, options, folder, tmp_path):
     with pytest.raises(rw.InputError, match=word):
         run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--to", "0.15"], "15%"), (["--to", "a bit"], "percentage"), (["--draws", "10"], "2000"),
+        (["--seed", "-1"], "from 0"), (["--depth", "3"], "unit"), (["--depth", "3 s"], "mm"),
+        ([], "--after"),
+    ],
+)  # fmt: skip
+def test_options_that_are_refused(words, said, folder, tmp_path, capsys):
+    after = ["--after", str(folder / "fit")] if words else []
+    assert main(["follow", str(running(folder)), "-o", str(tmp_path / "out"), *after, *words]) == 2
+    assert said in capsys.readouterr().err
