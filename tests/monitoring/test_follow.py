@@ -344,7 +344,7 @@ def test_what_is_refused(word, edit, options, folder, tmp_path):
     ("words", "said"),
     [
         (["--to", "0.15"], "15%"), (["--to", "a bit"], "percentage"), (["--draws", "10"], "2000"),
-        (["--seed", "-1"], "from 0"), (["--depth", "3"], "unit"), (["--depth", "3 s"], "mm"),
+        (["--seed", "-1"], "from 0"), (["--depth", "3"], "unit"), (["--depth", "3 s"], "length"),
         ([], "--after"),
     ],
 )  # fmt: skip
