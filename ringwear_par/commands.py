@@ -15,29 +15,43 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.version import __version__
 
 
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    """Return the type of whole numbers from low to high."""
+def _number(
+    read: Callable[[str], float], low: float, high: float, must: str = ""
+) -> Callable[[str], float]:
+    """Return the type of numbers from low to high; a refusal says what they must be."""
 
-    def number(text: str) -> int:
-        if not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{text}: must be from {low} to {high}")
-        return int(text)
+    def number(text: str) -> float:
+        try:
+            value = read(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            must_be = must or f"from {low:g} to {high:g}"
+            raise argparse.ArgumentTypeError(f"{legible(text)}: must be {must_be}")
+        return value
 
     return number
 
 
-def _width(text: str) -> float:
-    """Return a width in mm."""
+def _mm(text: str) -> float:
     from ringwear_par.cases.units import in_unit
     from ringwear_par.cases.values import RejectedError
 
     try:
-        width = float(in_unit(text, "mm"))
-    except (RejectedError, ValueError):
-        width = math.nan
-    if not 0.0 < width < math.inf:
-        raise argparse.ArgumentTypeError(f"{legible(text)}: must be mm, or such as '3.5 in'")
-    return width
+        return float(in_unit(text, "mm"))
+    except RejectedError as error:
+        raise ValueError from error
+
+
+_width = _number(_mm, 1e-3, 1e6, "mm, or such as '3.5 in'")
+_depth = _number(
+    lambda text: _mm(text) if text[-1:].isalpha() else math.nan, 1e-12, 1e6,
+    "a length with its unit, such as '20 um'",
+)  # fmt: skip
+_percent = _number(
+    lambda text: float(text.strip().removesuffix("%")), 1.0, 99.0,
+    "a percentage, 1% to 99%, such as 15%",
+)  # fmt: skip
 
 
 def _figure(text: str) -> Any:
@@ -78,13 +92,13 @@ class _Arguments(argparse.ArgumentParser):
         self.path("source", metavar="FIT.toml", help="fit file")
         self.folder()
 
-    def draws(self, number: int) -> None:
+    def draws(self, number: int, least: int = 1) -> None:
         text = "penetration whose time to predict, '20 um'"
-        self.add_argument("--depth", metavar="DEPTH", help=text)
-        text = "number of draws (default: %(default)s)"
-        self.add_argument("--draws", type=int, default=number, metavar="N", help=text)
-        text = "seed of the draws (default: %(default)s)"
-        self.add_argument("--seed", type=int, default=0, metavar="N", help=text)
+        self.add_argument("--depth", type=_depth, metavar="DEPTH", help=text)
+        text, kind = "number of draws (default: %(default)s)", _number(int, least, 10**7)
+        self.add_argument("--draws", type=kind, default=number, metavar="N", help=text)
+        text, kind = "seed of the draws (default: %(default)s)", _number(int, 0, 10**9)
+        self.add_argument("--seed", type=kind, default=0, metavar="N", help=text)
 
 
 # fmt: off
@@ -157,7 +171,7 @@ def parser() -> argparse.ArgumentParser:
     a.add_argument("--width", type=_width, metavar="WIDTH",
                    help="of the figure, in mm or such as '3.5 in'; texts stay as large (a column "
                    "of a journal: 90 mm; a page: 180 mm)")
-    a.add_argument("--dpi", type=_whole(50, 2400), metavar="N",
+    a.add_argument("--dpi", type=_number(int, 50, 2400), metavar="N",
                    help="resolution of bitmaps (default: 200)")
     a = command(
         "report", "write one HTML page of a run, sweep, fit, design, prediction or measurement",
@@ -168,7 +182,7 @@ def parser() -> argparse.ArgumentParser:
         "explore", "open a page in the browser with sliders for the numbers of a case",
         "explorer.explore:explore", "ringwear explore case.toml", "solves")
     a.case()
-    a.add_argument("--port", type=_whole(0, 65535), default=0, metavar="N",
+    a.add_argument("--port", type=_number(int, 0, 65535), default=0, metavar="N",
                    help="port of the page's address (default: any free one)")
     a.add_argument("--no-browser", action="store_false", dest="browser",
                    help="print the address, but open no browser")
@@ -215,14 +229,13 @@ def parser() -> argparse.ArgumentParser:
     a = command(
         "follow", "monitor a running test: its specimen so far, and when the test may end",
         "monitoring.follow:run_follow",
-        "ringwear follow fit.toml -o out/follow --after out/fit --to 5%%", "solves")
+        "ringwear follow fit.toml -o out/follow --after out/fit --to 5%", "solves")
     a.fit_file()
-    a.path("--after", metavar="FITDIR",
-           help="folder of the fit of earlier tests (default: fit the file's other tests)")
+    a.path("--after", required=True, metavar="FITDIR", help="folder of the fit of earlier tests")
     a.add_argument("--test", metavar="NAME", help="experiment that runs (default: the last one)")
-    a.add_argument("--to", default="10%", metavar="PERCENT",
+    a.add_argument("--to", type=_percent, default="10%", metavar="PERCENT",
                    help="half width of the interval of k that is asked for (default: 10%%)")
-    a.draws(20_000)
+    a.draws(20_000, 2000)
     a.flag("--once", "answer once, by the readings that are there, and end")
 
     lines.append("\nother:")

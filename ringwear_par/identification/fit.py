@@ -93,18 +93,23 @@ def _fit_law(problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> Fit
 
 
 def into_folder(
-    folder: Path, files: Sequence[str], comm: MPI.Intracomm, compute: Callable[[], Outcome]
+    folder: Path,
+    files: Sequence[str],
+    comm: MPI.Intracomm,
+    compute: Callable[[], Outcome],
+    command: str = "fit",
 ) -> None:
-    """Write the outcome of a fit or a design to a folder, and print its summary. Collective.
+    """Write the outcome of a command to a folder, and print its summary. Collective.
 
     Parameters
     ----------
     files : that it has, first the one which says that it is whole.
     compute : returns the outcome; collective.
+    command : see ``check_folder``.
     """
 
     def check() -> None:
-        check_folder(folder, files, "fit")
+        check_folder(folder, files, command)
         announce_replacement(folder / files[0])
 
     on_first_rank(comm, check)

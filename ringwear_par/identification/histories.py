@@ -9,7 +9,7 @@ import itertools
 import math
 import pickle
 from collections.abc import Callable, Hashable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import TypeVar
 
 import numpy as np
@@ -24,7 +24,7 @@ from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.history.elastic import operator_key
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.readings import read
-from ringwear_par.parallel import as_ours, together
+from ringwear_par.parallel import together
 from ringwear_par.results.progress import Progress, StopSignals, name_of
 from ringwear_par.studies.many import computed
 from ringwear_par.studies.variations import split_key
@@ -98,7 +98,8 @@ class Readings:
                     comm.bcast(None)
             else:
                 while (request := comm.bcast(None)) is not None:
-                    self._shared(*request)
+                    with suppress(Exception):  # the first rank has it too, and ends the job
+                        self._shared(*request)
         with together(comm):
             answer: T = pickle.loads(comm.bcast(content))
         return answer
@@ -155,25 +156,18 @@ class Readings:
     ) -> list[Row]:
         """Return the rows of all ranks on the first one, each of which computes a part. Collective.
 
-        Errors are raised on the first rank; the others go on to serve, as that ends the job.
+        Raises an error of any rank on all, StoppedError on the first.
         """
-        comm, rows, error = self._comm, list[Row](), None
+        comm, rows = self._comm, list[Row]()
         ends = np.linspace(0, len(entries), comm.size + 1).astype(int)
         mine = entries[ends[comm.rank] : ends[comm.rank + 1]]
-        if mine and not self._signals.received:
-            try:
+        with together(comm):
+            if mine and not self._signals.received:
                 rows = self._computed(mine, experiments, steps, factors)
-            except Exception as failure:
-                if comm.size == 1:
-                    raise
-                error = as_ours(failure)
-        gathered = comm.gather((rows, self._signals.received, error)) or []
-        if received := max((number for _, number, _ in gathered), default=0):
+        gathered = comm.gather((rows, self._signals.received)) or []
+        if received := max((number for _, number in gathered), default=0):
             raise StoppedError(f"stopped by {name_of(received)}")
-        for _, _, failed in gathered:
-            if failed is not None:
-                raise failed
-        return [row for part, _, _ in gathered for row in part]
+        return [row for part, _ in gathered for row in part]
 
     def _computed(
         self,

@@ -79,20 +79,19 @@ class TestLikelihood:
         """Return data less readings (P, n) of the model, as a part has them, (n of the part, P)."""
         return noise.data(self.data[noise.rows])[:, None] - readings.T[noise.rows]
 
-    def _squares(self, readings: FloatArray) -> list[FloatArray]:
-        """Return sums of squares (K, P) of each part at its growth times, see ``by_node``."""
-        return [noise.squares(self._rows(noise, readings)) for noise in self.noises]
-
     def by_node(self, readings: FloatArray) -> list[FloatArray]:
         """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
-        every = zip(self.noises, self._squares(readings), strict=True)
+        every = ((noise, noise.squares(self._rows(noise, readings))) for noise in self.noises)
         return [noise.log_constants[:, None] + noise.density(squares) for noise, squares in every]
 
     def least_squares(self, readings: FloatArray) -> FloatArray:
         """Return sums of squares (parts, P), those of priors too, at the likeliest growth times."""
-        every = zip(self._squares(readings), self.by_node(readings), strict=True)
-        at = np.arange(len(readings))
-        return np.array([squares[logs.argmax(axis=0), at] for squares, logs in every])
+        every, at = [], np.arange(len(readings))
+        for noise in self.noises:
+            squares = noise.squares(self._rows(noise, readings))
+            logs = noise.log_constants[:, None] + noise.density(squares)
+            every.append(squares[logs.argmax(axis=0), at])
+        return np.array(every)
 
     def __call__(self, readings: FloatArray) -> FloatArray:
         """Return log p (P,) by readings (P, n) of the model."""
@@ -176,24 +175,23 @@ class EmulatedLikelihood:
             shares[self._fitted] = np.exp(low + 0.5 * (np.array(chosen) + 1.0) * (high - low))
             noises = likelihood.noises_at(shares) if self._fitted else likelihood.noises
             every.append([self._form(noise) for noise in noises])
-        #: of each part, Chebyshev coefficients in the shares of matrices of the squares of (1, z),
-        #: (c, K, q, q), and of constants (c, K)
-        self._forms = [
-            [np.tensordot(weights, of, 1) for of in zip(*forms, strict=True)]
-            for forms in zip(*every, strict=True)
-        ]
+        #: of each part, Chebyshev coefficients in the shares of constants, and below them of what
+        #: products of (1, z) add to squares, (c, 1 + products, K)
+        self._forms = [np.tensordot(weights, forms, 1) for forms in zip(*every, strict=True)]
         z = emulator.coordinates(emulator.box.design(_JUDGED))
         by_node = self._by_node(z, np.tile(likelihood.shares, (len(z), 1)))
-        for form, logs in zip(self._forms, by_node, strict=True):
+        for part, logs in enumerate(by_node):
             counts = np.flatnonzero((logs.T - logs.max(axis=1)).max(axis=1) > -_COUNTS)
             kept = slice(max(counts[0] - 1, 0), counts[-1] + 2)
-            form[:] = form[0][:, kept], form[1][:, kept]
+            self._forms[part] = self._forms[part][..., kept]
 
-    def _form(self, noise: Noise) -> tuple[FloatArray, FloatArray]:
-        """Return matrices of squares (K, q, q) and constants (K,) of a part."""
+    def _form(self, noise: Noise) -> FloatArray:
+        """Return constants, and what products of (1, z) add to squares, (1 + products, K)."""
         emulator, data = self.emulator, noise.data(self.likelihood.data[noise.rows])
         rows = np.column_stack([data - emulator.mean[noise.rows], -emulator.modes[:, noise.rows].T])
-        return noise.grams(rows, np.eye(1, rows.shape[1])[0]), noise.log_constants
+        grams = noise.grams(rows, np.eye(1, rows.shape[1])[0])
+        i, j = np.triu_indices(rows.shape[1])
+        return np.vstack([noise.log_constants, (grams[:, i, j] * (1.0 + (i != j))).T])
 
     def _by_node(self, coordinates: FloatArray, shares: FloatArray) -> list[FloatArray]:
         """Return log p (s, K) of each part at its growth times, see ``__call__``."""
@@ -201,13 +199,13 @@ class EmulatedLikelihood:
         for column in np.log(shares[:, self._fitted]).T:
             more = chebvander(2.0 * (column - low) / (high - low) - 1.0, self._count - 1)
             terms = (terms[:, :, None] * more[:, None]).reshape(len(terms), -1)
-        v = np.concatenate([np.ones((len(coordinates), 1)), coordinates], axis=1)
-        every = []
-        for noise, (grams, constants) in zip(self.likelihood.noises, self._forms, strict=True):
-            products = np.tensordot(v, grams, (1, 2))  # (s, c, K, q)
-            squares = np.einsum("sckq,sq->sck", products, v)
+        v = np.insert(coordinates, 0, 1.0, axis=1)
+        i, j = np.triu_indices(v.shape[1])
+        products, every = v[:, i] * v[:, j], []
+        for noise, form in zip(self.likelihood.noises, self._forms, strict=True):
+            squares = np.tensordot(products, form[:, 1:], (1, 1))  # (s, c, K)
             squares = np.einsum("sck,sc->sk", squares, terms)
-            every.append(terms @ constants + noise.density(squares))
+            every.append(terms @ form[:, 0] + noise.density(squares))
         return every
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:

@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from scipy.linalg import block_diag
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
@@ -19,6 +18,7 @@ from ringwear_par.identification.definition.problem import (
     Nuisance,
     Series,
     friction_power,
+    records,
 )
 from ringwear_par.schedules import in_time
 
@@ -30,45 +30,43 @@ _PRIOR_SDS = 4.5
 _nodes = cache(leggauss)
 
 
-def growth(nuisance: Nuisance, case: Case, t: FloatArray, time: float) -> FloatArray:
-    """Return the share of its growth that a warm rig has at t (n,) s.
+def growth(nuisance: Nuisance, case: Case, t: FloatArray, times: FloatArray) -> FloatArray:
+    """Return the share (K, n) of its growth that a warm rig has at t (n,) s, by growth times (K,).
 
     It is cold at first, and follows its heat by time g' = heat - g (s): a step of it at the start,
     and each change of its slope. The heat is 1, or goes with the friction power where the nuisance
     has ``power``.
     """
     starts, heat = friction_power(case) if nuisance.power else (np.zeros(1), np.ones(1))
-    heat = heat / heat.max()
+    heat, times = heat / heat.max(), times[:, None]
     slopes = np.diff(np.append(np.diff(heat) / np.diff(starts), 0.0), prepend=0.0)
-    grown = -heat[0] * np.expm1(-t / time)
+    grown = -heat[0] * np.expm1(-t / times)
     for start, slope in zip(starts, slopes, strict=True):
         since = np.maximum(t - start, 0.0)
-        grown = grown + slope * (since + time * np.expm1(-since / time))
+        grown = grown + slope * (since + times * np.expm1(-since / times))
     return grown
 
 
-def nuisance_columns(series: Series, case: Case, time: float) -> FloatArray:
-    """Return (n, nuisances) what a unit of each linear nuisance adds to readings of a series.
+def nuisance_columns(series: Series, case: Case, times: FloatArray) -> FloatArray:
+    """Return what a unit of each linear nuisance adds to readings of a series, (K, n, nuisances).
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with its change since the start); the tilt
-    with the distance in mm from the middle of the contact; the thermal growth has a time (s).
+    with the distance in mm from the middle of the contact; thermal growth has a time (K,) s.
     """
-    columns = []
-    for nuisance in series.linear_nuisances:
-        column = np.ones(series.n)
+    columns = np.ones((len(times), series.n, len(series.linear_nuisances)))
+    for nuisance, column in zip(series.linear_nuisances, np.moveaxis(columns, 2, 0), strict=True):
         if nuisance.kind == "drift":
-            column = series.x / case.time.end
+            column[:] = series.x / case.time.end
         elif nuisance.kind == "compliance":
             assert case.load.force is not None
             start = 0.0 if series.quantity == "approach" else in_time(case.load.force, 0.0)
-            column = 1e-3 * (in_time(case.load.force, series.x) - start)
+            column[:] = 1e-3 * (in_time(case.load.force, series.x) - start)
         elif nuisance.kind == "tilt":
-            column = series.x - 0.5 * sum(case.contact)
+            column[:] = series.x - 0.5 * sum(case.contact)
         elif nuisance.kind == "thermal":
-            column = growth(nuisance, case, series.x, time)
-        columns.append(series.factor * column)
-    return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
+            column[:] = growth(nuisance, case, series.x, times)
+    return series.factor * columns
 
 
 def _prior(nuisance: Nuisance, series: Series) -> tuple[float, float]:
@@ -140,12 +138,12 @@ class Nuisances:
         every = [(i, nuisance) for i in numbers for nuisance in test.series[i].linear_nuisances]
         owners = [(i, nuisance.kind) for i, nuisance in every]
         owners += [(-1, str(number)) for number in range(len(scales))]
-        columns = np.stack([
-            np.column_stack(
-                [block_diag(*(nuisance_columns(s, test.case, time) for s in series)), *scales]
-            )
-            for time in times.tolist()
-        ])  # fmt: skip
+        columns, place = np.zeros((len(times), sum(s.n for s in series), len(owners))), 0
+        for one, rows in records(series):
+            some = slice(place, place := place + len(one.linear_nuisances))
+            columns[:, rows, some] = nuisance_columns(one, test.case, times)
+        for column, scale in enumerate(scales, place):
+            columns[:, :, column] = scale
         priors = [(*_prior(nuisance, test.series[i]), nuisance.free) for i, nuisance in every]
         priors += [(0.0, 1.0, False)] * len(scales)
         means, sds, free = np.reshape(priors, (-1, 3)).T.astype(float)

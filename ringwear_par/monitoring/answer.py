@@ -22,7 +22,8 @@ from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen
-from ringwear_par.prediction.prediction import TimeTo, depth_line, times_at
+from ringwear_par.prediction.predict import doubts_of
+from ringwear_par.prediction.prediction import TimeTo
 from ringwear_par.results.key_numbers import time_words
 
 #: windows of a test in which readings are compared with what is expected of them, and the
@@ -66,10 +67,13 @@ def answer_of(
     (test,), level = problem.experiments, problem.settings.level
     specimens, alarm = _followed(follower, test)
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
-    before, *every = (
-        _intervals(follower, x, level) for x in (follower.before, *(s.unknowns for s in specimens))
-    )
-    keys = _keys(follower, problem, before, every[-1])
+    shares = np.array([0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level])
+    # (keys, 3) before the test, and at the end of each window
+    trace = [
+        np.quantile(follower.draws.values(x[:, : follower.m]), shares, axis=0).T.tolist()
+        for x in (follower.before, *(specimen.unknowns for specimen in specimens))
+    ]
+    keys = _keys(follower, problem, trace[0], trace[-1])
     rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
     goal = (*rates, 0)[0]
     key, reached = problem.keys[goal], keys[problem.keys[goal]]["percent"]
@@ -77,17 +81,16 @@ def answer_of(
     times = [0.0, *(float(one.test.times.max()) for one in specimens)]
     found = None
     if depth is not None:
-        there = TimeTo.of(time_to(follower, specimen, depth), level)
-        found = {"depth": depth, **there._asdict()}
+        found = TimeTo.of(follower.time, penetrations(follower, specimen), depth, level)
     answer = {
         "test": test.name, "whom": follower.of, "time": now, "end": end,
         "ended": now >= _ENDED * end, "readings": test.n, "level": level, "keys": keys,
-        "depth": found, "alarm": alarm,
-        "trace": [[t, *ends[goal]] for t, ends in zip(times, (before, *every), strict=True)],
+        "depth": found and found._asdict(), "alarm": alarm,
+        "trace": [[t, *ends[goal]] for t, ends in zip(times, trace, strict=True)],
         "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
-        "interpolated": follower.error, "doubts": _doubts_of(follower, specimen, alarm, end),
+        "doubts": _doubts(follower, specimen, test, alarm),
     }  # fmt: skip
-    return {**answer, "summary": _lines(answer)}, specimen
+    return {**answer, "summary": _lines(answer, found)}, specimen
 
 
 def _followed(
@@ -115,20 +118,13 @@ def _followed(
     return specimens, None
 
 
-def _intervals(follower: Follower, unknowns: FloatArray, level: float) -> list[list[float]]:
-    """Return low end, median and high end of each key over draws (s, m)."""
-    values, tail = follower.draws.values(unknowns[:, : follower.m]), 0.5 * (1.0 - level)
-    ends: list[list[float]] = np.quantile(values, (tail, 0.5, 1.0 - tail), axis=0).T.tolist()
-    return ends
-
-
 def _keys(
     follower: Follower, problem: Problem, before: list[list[float]], now: list[list[float]]
 ) -> dict[str, dict[str, Any]]:
     """Return entries of the keys, as in fit.json, with the interval before the test."""
     keys = {}
-    for parameter, unit, (low, median, high), (first, _, last) in zip(
-        problem.parameters, follower.draws.units, now, before, strict=True
+    for parameter, unit, (first, _, last), (low, median, high) in zip(
+        problem.parameters, follower.draws.units, before, now, strict=True
     ):
         entry = {
             "unit": unit, "estimate": median, "interval": (low, high),
@@ -139,18 +135,19 @@ def _keys(
     return keys
 
 
-def _doubts_of(
-    follower: Follower, specimen: Specimen, alarm: dict[str, float] | None, end: float
+def _doubts(
+    follower: Follower, specimen: Specimen, test: Experiment, alarm: dict[str, float] | None
 ) -> list[str]:
     """Return what speaks against the numbers, an alarm first."""
-    doubts = [*follower.doubts]
+    doubts = [doubt.text for doubt in doubts_of(follower.draws, test.case, follower.of)]
     if alarm is not None:
-        doubts.insert(
-            0,
-            f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} "
-            f"on (p = {alarm['probability']:.1g}): a transition, a layer worn through, or the "
-            "rig; all numbers are of the readings before",
+        time = time_words(alarm["time"], test.case.time.end)
+        text = (
+            f"alarm: readings leave the predicted band from {time} on (p = "
+            f"{alarm['probability']:.1g}): a transition, a layer worn through, or the rig; all "
+            "numbers are of the readings before"
         )
+        doubts.insert(0, text)
     inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
     if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
         doubts.append(
@@ -165,11 +162,7 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
 
     The least sum of squares over histories, nuisances and growth times is larger with the new ones
     by chi squared of as many degrees of freedom: by the squares of recursive residuals (Brown,
-    Durbin and Evans 1975).
-
-    Parameters
-    ----------
-    before, after : draws by old readings, and by these and the new ones.
+    Durbin and Evans 1975). Draws are by the old readings before, and by all after.
     """
     old, both = before.likelihood, follower.likelihood_like(before, after.test)
     if follower.problem.settings.loss == "student":
@@ -203,12 +196,8 @@ def time_to_goal(
 ) -> tuple[float | None, float]:
     """Return when the sd of a key is so much less, s, or None; and how much less at the end.
 
-    Records go on at their rate; histories are linear in the keys, by regression on the draws.
-
-    Parameters
-    ----------
-    key : its number.
-    ratio : of the sd that is wished over that by the readings until now.
+    Records go on at their rate; histories are linear in the keys, by regression on the draws. The
+    ratio is of the sd of key number ``key`` that is wished over that by the readings until now.
     """
     test, m = specimen.test, follower.m
     end = test.case.time.end
@@ -239,8 +228,8 @@ def _to_end(series: Series, end: float) -> Series:
     return averaged(replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None), end)
 
 
-def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
-    """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
+def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
+    """Return this specimen's penetration (draws, steps) to the end of the test, mm.
 
     Wear that is random is a Gaussian process here, whose past the readings tell.
     """
@@ -259,10 +248,10 @@ def time_to(follower: Follower, specimen: Specimen, depth: float) -> FloatArray:
         variance = (share * most) ** 2 * np.minimum.outer(clock, clock) - along[:, : len(time)]
         depths += random.multivariate_normal(zero, variance, len(some.v), method="eigh")
         depths += along[:, len(time) :].T
-    return times_at(time, depths, depth)
+    return depths
 
 
-def _lines(answer: Mapping[str, Any]) -> list[str]:
+def _lines(answer: Mapping[str, Any], depth: TimeTo | None) -> list[str]:
     """Return the contents of follow.json in lines of text, but for its doubts."""
     goal, end, level = answer["goal"], answer["end"], f"{100 * answer['level']:g} %"
     time = f"{time_words(answer['time'], end)} of {time_words(end, end)}"
@@ -280,6 +269,6 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         left = goal["time"] - answer["time"]
         when = "reached" if left <= 0.0 else f"in {time_words(left, end)}"
     lines.append(f"  {goal['key']} to +-{goal['percent']:g} %: {when}")
-    if answer["depth"] is not None:
-        lines.append(f"  {depth_line(answer['depth'], end)}")
+    if depth is not None:
+        lines.append(f"  {depth.line(end)}")
     return lines

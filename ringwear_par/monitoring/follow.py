@@ -1,18 +1,15 @@
 """``ringwear follow``: what the readings of a running test say of its specimen, as they come.
 
-Answers are written, and printed, as text and as a page, whenever the test's files change.
+Answers are written, and printed, as text and as a page, whenever the test's files have changed.
 """
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.elasticity.sections import BODIES
@@ -22,14 +19,12 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
-from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.monitoring.answer import answer_of
-from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.monitoring.follower import Follower
 from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.predict import check_predicted, doubts_of, fit_draws
-from ringwear_par.prediction.prediction import read_depth
+from ringwear_par.prediction.predict import check_predicted, fit_draws
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.progress import StopSignals
@@ -39,10 +34,8 @@ log = logging.getLogger(__name__)
 
 #: page of a running test
 PAGE = "follow.html"
-#: s between two looks at the files; between two pages, and two answers that are printed
-_LOOK, _PAUSE = 0.2, 5.0
-#: fewest draws
-_FEWEST = 2000
+#: s between two looks at the files
+_PAUSE = 2.0
 
 
 def run_follow(
@@ -50,10 +43,10 @@ def run_follow(
     folder: Path,
     comm: MPI.Intracomm,
     *,
-    after: Path | None = None,
+    after: Path,
     test: str | None = None,
-    to: str = "10%",
-    depth: str | None = None,
+    to: float = 10.0,
+    depth: float | None = None,
     draws: int = 20_000,
     seed: int = 0,
     once: bool = False,
@@ -63,10 +56,10 @@ def run_follow(
     Parameters
     ----------
     source : the fit file, one of whose experiments runs.
-    after : folder of the fit of earlier tests; None: the other tests of the file are fitted first.
+    after : folder of the fit of earlier tests.
     test : name of the experiment; None: the last one.
     to : half width of the interval that is wished, in percent.
-    depth : of penetration, with its unit.
+    depth : mm, of penetration, whose time is predicted.
     once : whether only what there is now is read.
 
     Raises
@@ -75,41 +68,73 @@ def run_follow(
     ComputationError : the histories.
     """
 
-    def begin() -> tuple[Problem, float, float | None]:
-        faults = [
-            f"--{name} = {number}: must be a whole number >= {least}"
-            for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0))
-            if number < least
-        ]
-        percent, mm = _percent(to, faults), None if depth is None else read_depth(depth, faults)
-        if faults:
-            raise InputError(*faults)
+    def begin() -> tuple[Problem, Draws]:
         check_folder(folder, (FOLLOW, PAGE), "follow")
-        return read_running(source, test or ""), percent, mm
+        return read_running(source, test or ""), fit_draws(after)
 
-    running, percent, mm = on_first_rank(comm, begin)
+    running, known = on_first_rank(comm, begin)
     name = running.experiments[0].name
-    others = partial(read_fit, source, running=name, others=True)
-    fit = after or fit_problem(on_first_rank(comm, others), comm)
-    known = on_first_rank(comm, lambda: fit_draws(fit))
 
-    def follower_of(problem: Problem) -> Follower:
-        problem, of, doubts = _followed(problem, after, known)
-        readings.tell(f"histories of {legible(name)}")
-        return Follower(known, of, problem, readings, draws, seed, doubts)
+    def answer() -> None:
+        """Write and print an answer whenever the files have changed."""
+        follower, frame = None, None
+        for problem in _changes(source, name, once, signals):
+            (test,) = problem.experiments
+            # histories are for all of a problem but its readings over time
+            fixed = [series.x.tobytes() for series in test.series if not series.timed]
+            if follower is None or frame != (problem.text, test.case.text, fixed):
+                followed, of = _followed(problem, after, known)
+                readings.tell(f"histories of {legible(name)}")
+                follower = Follower(known, of, followed, readings, draws, seed)
+                frame = problem.text, test.case.text, fixed
+            if _answer(follower, problem, to, depth, folder):
+                return
+        if follower is None:
+            raise StoppedError("stopped before the first answer")
 
     with StopSignals() as signals:
         readings = Readings(running, comm, signals)
-        by = partial(answer_of, percent=percent, depth=mm)
-        readings.lead(lambda: _loop(source, name, follower_of, by, folder, once, signals))
+        readings.lead(answer)
 
 
-def _percent(text: str, faults: list[str]) -> float:
-    with suppress(ValueError):
-        if 1.0 <= (percent := float(text.strip().removesuffix("%"))) < 100.0:
-            return percent
-    faults.append(f"--to = {legible(text)}: must be a percentage, 1% to 99%, such as 15%")
-    return np.nan
+def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Iterator[Problem]:
+    """Yield the problem of a running test, again whenever its files have changed."""
+    seen, warned = None, ""
+    while not signals.received:
+        try:
+            problem = read_running(source, name)
+        except InputError as error:  # it is being written, or was replaced
+            if once:
+                raise
+            if (reason := reason_of(error)) != warned:
+                log.warning("%s; the last answer stays until that changes", reason)
+            warned = reason
+        else:
+            files = problem.text, problem.experiments[0].case.text, problem.hashes
+            if files != seen:
+                seen = files
+                yield problem
+            if once:
+                return
+        time.sleep(_PAUSE)
+
+
+def _answer(
+    follower: Follower, problem: Problem, percent: float, depth: float | None, folder: Path
+) -> bool:
+    """Write and print the answer to the readings so far; return whether the test has ended."""
+    answer, specimen = answer_of(follower, problem, percent, depth)
+    contents = {**answer, "versions": versions()}
+    write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, contents)})
+    lines = [*answer["summary"], *warning_lines(answer["doubts"]), f"written: {folder / FOLLOW}"]
+    try:
+        check_page(folder / PAGE)
+        page = page_of(answer, follower, specimen)
+        lines.append(f"written: {write_page(page, folder / PAGE)}")
+    except InputError as error:
+        lines += warning_lines([str(error)])
+    print("\n".join(lines), flush=True)
+    return bool(answer["ended"])
 
 
 def read_running(source: Path, name: str = "") -> Problem:
@@ -133,20 +158,19 @@ def read_running(source: Path, name: str = "") -> Problem:
     return replace(problem, experiments=(replace(test, series=series),))
 
 
-def _followed(problem: Problem, after: Path | None, draws: Draws) -> tuple[Problem, str, list[str]]:
-    """Return the problem of a test with the random wear that the fit knows, whose test, and doubts.
+def _followed(problem: Problem, after: Path, draws: Draws) -> tuple[Problem, str]:
+    """Return the problem of a test with the random wear that the fit knows, and whose test it is.
 
     InputError for the test of another fit.
     """
     (test,) = problem.experiments
-    if after:
-        with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
-            tested = test.name in outcome["experiments"]
-        if tested:
-            raise InputError(
-                f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
-                "readings would count twice; must be followed after a fit without it"
-            )
+    with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
+        tested = test.name in outcome["experiments"]
+    if tested:
+        raise InputError(
+            f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
+            "readings would count twice; must be followed after a fit without it"
+        )
     if problem.keys != draws.keys:
         raise InputError(
             f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
@@ -156,77 +180,4 @@ def _followed(problem: Problem, after: Path | None, draws: Draws) -> tuple[Probl
     check_predicted(draws, test.case, problem.name, of)
     sizes = zip(BODIES, draws.process.T, strict=True)
     process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
-    problem = replace(problem, settings=replace(problem.settings, process=process))
-    return problem, of, [doubt.text for doubt in doubts_of(draws, test.case, of)]
-
-
-def _loop(
-    source: Path,
-    name: str,
-    follower_of: Callable[[Problem], Follower],
-    answer_by: Callable[[Follower, Problem], tuple[dict[str, Any], Specimen]],
-    folder: Path,
-    once: bool,
-    signals: StopSignals,
-) -> None:
-    """Answer whenever the files change, until the end of the test."""
-    files, stamps, frame, warned = {source.name}, list[tuple[int, ...]](), tuple[Any, ...](), ""
-    answer, shown, printed, alarmed, ended = dict[str, Any](), None, -_PAUSE, False, False
-    while not (ended or signals.received):
-        if (present := _stamps(source.parent / file for file in sorted(files))) == stamps:
-            time.sleep(_LOOK)
-            continue
-        stamps = present
-        try:
-            problem = read_running(source, name)
-            files |= {*problem.hashes}
-            (test,) = problem.experiments
-            # histories are for all of a problem but its readings over time
-            fixed = [series.x.tobytes() for series in test.series if not series.timed]
-            if (problem.text, test.case.text, fixed) != frame:
-                follower = follower_of(problem)
-                frame = problem.text, test.case.text, fixed
-        except InputError as error:  # it is being written, or was replaced
-            if once:
-                raise
-            if (reason := reason_of(error)) != warned:
-                log.warning("%s; the last answer stays until that changes", reason)
-            warned = reason
-            continue
-        except StoppedError:
-            break
-        answer, specimen = answer_by(follower, problem)
-        contents = {**answer, "versions": versions()}
-        write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, contents)})
-        ended, alarm = once or answer["ended"], answer["alarm"] is not None
-        show = partial(_show, folder, answer, follower, specimen)
-        if ended or alarm > alarmed or time.monotonic() - printed > _PAUSE:
-            show()
-            shown, printed, alarmed = answer, time.monotonic(), alarm
-    if not answer:
-        raise StoppedError("stopped before the first answer")
-    if shown is not answer:
-        show()
-    print(f"written: {folder / FOLLOW}")
-
-
-def _stamps(files: Iterable[Path]) -> list[tuple[int, ...]]:
-    """Return what changes when files are written to."""
-    stamps = list[tuple[int, ...]]()
-    for file in files:
-        with suppress(OSError):  # it may be replaced just now
-            status = file.stat()
-            stamps.append((status.st_ino, status.st_size, status.st_mtime_ns))
-    return stamps
-
-
-def _show(folder: Path, answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -> None:
-    """Print an answer, and write its page."""
-    lines = [*answer["summary"], *warning_lines(answer["doubts"])]
-    try:
-        check_page(folder / PAGE)
-        page = page_of(answer, follower, specimen)
-        lines.append(f"written: {write_page(page, folder / PAGE)}")
-    except InputError as error:
-        lines += warning_lines([str(error)])
-    print("\n".join(lines), flush=True)
+    return replace(problem, settings=replace(problem.settings, process=process)), of

@@ -86,7 +86,6 @@ class Follower:
     of : the next specimen, or one of the fit's.
     problem : of the running test.
     count, seed : number of draws, and their seed.
-    doubts : that there are before the test.
     """
 
     def __init__(
@@ -97,13 +96,11 @@ class Follower:
         readings: Readings,
         count: int,
         seed: int,
-        doubts: Sequence[str] = (),
     ) -> None:
         x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
         self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
         #: draws at the end of a window, and how probable its readings were, by all until then
         self.windows: dict[bytes, tuple[Specimen, float]] = {}
-        self.doubts = doubts
         bodies = [body_of_wear(key) for key in problem.settings.process]
         self.m, (test,) = x.shape[1], problem.experiments
         plan = _plan(test, bodies)
@@ -124,11 +121,6 @@ class Follower:
         self._depths = self.columns[ends] / test.case.area
         #: (bodies,) mm, worn at the end at the middle of the draws, to which shares are relative
         self.most = self._depths @ self._coordinates(np.median(x, axis=0)[None])[0]
-
-    @property
-    def error(self) -> float:
-        """Largest rms error of a quantity of histories, over its spread among the draws."""
-        return _SCALE * self.emulator.error
 
     def _coordinates(self, x: FloatArray) -> FloatArray:
         return np.insert(self.emulator.coordinates(x[:, : self.m]), 0, 1.0, axis=1)

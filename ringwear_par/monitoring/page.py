@@ -33,9 +33,10 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
     known = [one for one in records(specimen.test.series) if one[0].quantity in _DRAWN]
     for series, part in known[:1]:
         panel = _record(answer, follower, specimen, series, part)
-        charts.append(blocks.chart(panel, "Readings, and histories of this specimen"))
-    summary: list[blocks.Block] = [blocks.Lines([*map(with_signs, answer["summary"])])]
-    summary += [blocks.Lines(answer["doubts"], warning=True)] * bool(answer["doubts"])
+        charts.append(blocks.chart(panel, panel.title))
+    summary = [blocks.Lines([*map(with_signs, answer["summary"])])]
+    if answer["doubts"]:
+        summary.append(blocks.Lines(answer["doubts"], warning=True))
     sections = [
         blocks.Section("Summary", summary),
         blocks.Section("Over time", [blocks.Pictures(charts)]),

@@ -17,8 +17,7 @@ from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, ValidityWarning, legible
-from ringwear_par.files.folders import POSTERIOR, PREDICTION, check_folder
-from ringwear_par.files.writing import announce_replacement, closing_line
+from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.draws import (
     CONDITIONS,
@@ -29,11 +28,13 @@ from ringwear_par.identification.draws import (
     law_names,
     read_draws,
 )
+from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction, read_depth
+from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction
 from ringwear_par.results.result import Result
 from ringwear_par.studies.many import results_of
+from ringwear_par.studies.variations import is_whole
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
@@ -86,7 +87,7 @@ def predict(
 
     def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
         for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
-            if isinstance(number, bool) or not isinstance(number, int) or number < least:
+            if not is_whole(number) or number < least:
                 raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
         known, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
         whole = case if isinstance(case, Case) else read_case(case)
@@ -117,39 +118,24 @@ def run_predict(
     of: str = "next specimen",
     draws: int = 1000,
     seed: int = 0,
-    depth: str | None = None,
+    depth: float | None = None,
 ) -> None:
     """Predict and write the outcome to a folder. Collective on comm.
 
     Parameters
     ----------
-    depth : of penetration with its unit, whose time is printed.
+    depth : mm, of penetration, whose time is printed.
     """
 
-    def begin() -> tuple[Case, float | None]:
-        faults: list[str] = []
-        mm = None if depth is None else read_depth(depth, faults)
-        if faults:
-            raise InputError(*faults)
-        check_folder(folder, FILES, "predict")
-        announce_replacement(folder / PREDICTION)
-        return read_case(case, overrides), mm
+    def compute() -> Prediction:
+        whole = on_first_rank(comm, lambda: read_case(case, overrides))
+        return replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=depth)
 
-    whole, mm = on_first_rank(comm, begin)
-    result = replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=mm)
-    on_first_rank(comm, lambda: result.save(folder))
-    if comm.rank == 0:
-        print(result.summary())
-        print(closing_line(folder, FILES))
+    into_folder(folder, FILES, comm, compute, "predict")
 
 
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
-    """Return the draws of a fit, or of the fit of a folder. Not collective.
-
-    Raises
-    ------
-    InputError : anything else, or a folder without a fit.
-    """
+    """Return the draws of a fit, or of the fit of a folder; InputError of anything else."""
     if isinstance(fit, Path | str):
         return read_draws(Path(fit, POSTERIOR))
     if not isinstance(draws := getattr(fit, "draws", None), Draws):
@@ -162,13 +148,7 @@ def fit_draws(fit: "FitResult | Path | str") -> Draws:
 def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
     """Refuse a specimen that the fit did not test, and a case without its keys or laws.
 
-    Parameters
-    ----------
-    name : what messages call the case.
-
-    Raises
-    ------
-    InputError : all faults.
+    InputError of all faults; ``name`` is what they call the case.
     """
     faults, laws, possible = [], law_names(case), smooth_keys(case)
     if of not in (NEXT, MATERIAL, *draws.specimens):
@@ -177,13 +157,9 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
     for key in draws.keys:
         table = key.rpartition(".")[0]
         law = draws.laws.get(table, "")
-        if laws.get(table, "") != law:
-            state = f'is "{laws[table]}"' if laws.get(table) else "is missing"
-            faults.append(
-                f'{name}: {table}.law {state}: must be "{law}", of which the fit has {key}'
-            )
-        elif key not in possible:
-            faults.append(f"{name}: has no {key}; must have it, as the fit")
+        if laws.get(table, "") != law or key not in possible:
+            whose = f' of the law "{law}"' * bool(law)
+            faults.append(f"{name}: must have {key}{whose}, as the fit")
     if faults:
         raise InputError(*faults)
 
@@ -198,17 +174,16 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
         )
         doubts.append(ValidityWarning("no-scatter", text))
     # NaN of what the fit does not know, or the case does not have
-    lowest, highest = (f.reduce(draws.conditions) for f in (np.fmin, np.fmax))
-    values = conditions_of(case, draws.keys)
-    numbers = (of.tolist() for of in (values, lowest, highest))
-    for (name, unit), value, low, high in zip(CONDITIONS.items(), *numbers, strict=True):
+    tests = [f.reduce(draws.conditions) for f in (np.fmin, np.fmax)]
+    numbers = np.stack([conditions_of(case, draws.keys), *tests], axis=1).tolist()
+    for (name, unit), (value, *ends) in zip(CONDITIONS.items(), numbers, strict=True):
         # a shorter test is a part of a longer one
-        least = 0.0 if name == "distance" else low * (1.0 - _SAME)
-        if value < least or value > high * (1.0 + _SAME):
+        least = 0.0 if name == "distance" else ends[0] * (1.0 - _SAME)
+        if value < least or value > ends[1] * (1.0 + _SAME):
             symbol = f" {unit}" if unit != "1" else ""
-            tested = " to ".join(dict.fromkeys((f"{low:.4g}", f"{high:.4g}")))
+            tested = " to ".join(dict.fromkeys(f"{end:.4g}" for end in ends))
             text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {tested}{symbol}"
-            entries = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
+            entries = {"condition": name, "case": value, "tests": ends, "unit": unit}
             doubts.append(ValidityWarning("extrapolates", text, values=entries))
     return tuple(doubts)
 
@@ -226,10 +201,11 @@ def _histories(
     ComputationError where many draws have none.
     """
     ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
-    every = cases_at(case, keys, values)
-    errors: list[Exception] = [drawn for drawn in every if not isinstance(drawn, Case)]
-    cases = {i: replace(drawn, output=output, stress=None)
-             for i, drawn in enumerate(every) if isinstance(drawn, Case)}  # fmt: skip
+    errors: list[Exception] = []
+    cases = [
+        replace(drawn, output=output, stress=None) if isinstance(drawn, Case) else drawn
+        for drawn in cases_at(case, keys, values)
+    ]
 
     def compute(draws: Sequence[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
         steps = [ends] * len(draws)
@@ -237,7 +213,7 @@ def _histories(
         errors.extend(outcome.error for outcome in found if not isinstance(outcome, Result))
         return {i: r for i, r in zip(draws, found, strict=True) if isinstance(r, Result)}
 
-    results = compute([*cases], None)
+    results = compute(range(len(cases)), None)
     if sizes.any() and results:
         volumes = [[r.histories[f"worn_volume_{body}"][1:] for body in BODIES]
                    for r in results.values()]  # fmt: skip

@@ -1,7 +1,6 @@
 """A prediction: histories of a case at draws of what a fit knows, their bands and their folder."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,8 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.units import number_in
-from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible, warning_lines
 from ringwear_par.files import folders
@@ -27,7 +24,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-FILES = (folders.DRAWS, folders.BAND, folders.PREDICTION)
+FILES = (folders.PREDICTION, folders.DRAWS, folders.BAND)
 #: histories that are predicted; the summary has the ends of all but two
 QUANTITIES = (
     "penetration", "approach", "force", "torque", "worn_volume_lower", "worn_volume_upper",
@@ -45,50 +42,30 @@ class TimeTo(NamedTuple):
     interval: tuple[float | None, float | None]
     #: share of the draws that reach it before the end
     reached: float
+    #: mm
+    depth: float
 
     @classmethod
-    def of(cls, times: FloatArray, level: float = 0.95) -> "TimeTo":
-        """Return median, interval and share of times (draws,), inf where after the end."""
-        tail = 0.5 * (1.0 - level)
+    def of(
+        cls, time: FloatArray, depths: FloatArray, depth: float, level: float = 0.95
+    ) -> "TimeTo":
+        """Return when depths (draws, steps) first reach one, by lines between steps at time."""
+        deepest, tail = np.maximum.accumulate(depths, axis=1), 0.5 * (1.0 - level)
+        times = [np.interp(depth, reached, time, right=np.inf) for reached in deepest]
         low, median, high = (
             None if np.isinf(t) else float(t)
             for t in np.quantile(times, (tail, 0.5, 1.0 - tail), method="inverted_cdf")
         )
-        return cls(median, (low, high), float(np.isfinite(times).mean()))
+        return cls(median, (low, high), float(np.isfinite(times).mean()), depth)
 
-
-def depth_line(depth: Mapping[str, Any], end: float) -> str:
-    """Return when a depth is reached in words.
-
-    Parameters
-    ----------
-    depth : ``depth`` in mm, and the fields of ``TimeTo``.
-    end : s, of the test.
-    """
-    middle, low, high = (
-        "after the end" if time is None else time_words(time, end)
-        for time in (depth["median"], *depth["interval"])
-    )
-    spread = "" if low == high else f" (from {low} to {high})"
-    return f"{1e3 * depth['depth']:g} um of penetration: {middle}{spread}"
-
-
-def read_depth(text: str, faults: list[str]) -> float:
-    """Return a depth, mm, as a command is given it with its unit; NaN, and a fault, if none."""
-    with suppress(RejectedError):
-        if (depth := number_in(text, "mm")) > 0.0:
-            return depth
-    faults.append(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
-    return np.nan
-
-
-def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
-    """Return the times (draws,) at which depths (draws, steps) first reach one; inf: never.
-
-    Linear between steps, whose ends are at ``time`` (steps,).
-    """
-    deepest = np.maximum.accumulate(depths, axis=1)
-    return np.array([np.interp(depth, reached, time, right=np.inf) for reached in deepest])
+    def line(self, end: float) -> str:
+        """Return it in words, of a test until ``end`` (s)."""
+        middle, low, high = (
+            "after the end" if time is None else time_words(time, end)
+            for time in (self.median, *self.interval)
+        )
+        spread = "" if low == high else f" (from {low} to {high})"
+        return f"{1e3 * self.depth:g} um of penetration: {middle}{spread}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +124,13 @@ class Prediction(Outcome):
         """
         if not depth > 0.0:
             raise InputError(f"depth = {depth!r}: must be > 0 mm")
-        return TimeTo.of(times_at(self.time, self.histories["penetration"], depth))
+        return TimeTo.of(self.time, self.histories["penetration"], depth)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of prediction.json."""
-        depth = self.depth
-        # without scatter, a fit knows of no other specimens than its own
-        known = all(doubt.code != "no-scatter" for doubt in self.doubts)
-        content = {
-            "of": self.of, "whose": self.of if known else "the specimens tested",
+        depth = None if self.depth is None else self.time_to(self.depth)._asdict()
+        return {
+            "of": self.of, "whose": self._whose,
             "fit": self.fit, "draws": len(self.values), "failed": self.failed,
             "seed": self.seed, "keys": dict(self.keys),
             "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
@@ -163,15 +138,28 @@ class Prediction(Outcome):
                 name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}
                 for name in self.histories
             },
-            "depth": None if depth is None else {"depth": depth, **self.time_to(depth)._asdict()},
-            "doubts": [doubt.to_dict() for doubt in self.doubts], "case": self.case,
-            "versions": versions(),
+            "depth": depth, "doubts": [doubt.to_dict() for doubt in self.doubts],
+            "case": self.case, "summary": self.summary().splitlines(), "versions": versions(),
         }  # fmt: skip
-        return {**content, "summary": _lines(content)}
 
     def summary(self) -> str:
         """Return the outcome as the command prints it: at the end of the case first."""
-        return "\n".join(self.to_dict()["summary"])
+        end, lines = float(self.time[-1]), []
+        for name, values in self.histories.items():
+            ends = np.quantile(values[:, -1], (0.025, 0.5, 0.975))
+            if name in _CONDITIONS or (ends[-1] == 0.0 and name != "penetration"):
+                continue
+            unit, factor = DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))
+            unit = unit.replace("\N{MICRO SIGN}", "u")
+            first, middle, last = (f"{factor * value:.4g}" for value in ends)
+            spread = "" if first == last else f"  from {first} to {last} {unit}"
+            lines.append(f"{name.replace('_', ' ')}  {middle} {unit}{spread}")
+        lines[0] += f" (95 %, {self._whose}, after {time_words(end, end)})"
+        if self.depth is not None:
+            lines.append(self.time_to(self.depth).line(end))
+        failed = f"; {self.failed} more have no history" * bool(self.failed)
+        lines.append(f"{len(self.values)} draws of {legible(self.fit)}{failed}")
+        return "\n".join([*lines, *warning_lines(doubt.text for doubt in self.doubts)])
 
     def plot(self) -> "Figure":
         """Return the figure of the band over time."""
@@ -206,6 +194,12 @@ class Prediction(Outcome):
         return to_dataset([*self._variables()], self._attributes, ["time"])
 
     @property
+    def _whose(self) -> str:
+        # without scatter, a fit knows of no other specimens than its own
+        alone = any(doubt.code == "no-scatter" for doubt in self.doubts)
+        return "the specimens tested" if alone else self.of
+
+    @property
     def _attributes(self) -> dict[str, Any]:
         about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
         return {**about, **versions()}
@@ -213,10 +207,8 @@ class Prediction(Outcome):
     def _variables(self) -> Iterator[tuple[Variable, Any]]:
         """Yield all variables with their values, the dimensions first."""
         for name, count in (("draw", len(self.values)), ("step", len(self.time))):
-            yield (
-                Variable(name, (name,), "1", f"number of the {name}", integer=True),
-                np.arange(count),
-            )
+            axis = Variable(name, (name,), "1", f"number of the {name}", integer=True)
+            yield axis, np.arange(count)
         yield Variable("time", ("step",), "s", "time"), self.time
         for name, values in self.histories.items():
             yield replace(HISTORIES[name], dimensions=("draw", "step")), values
@@ -228,26 +220,6 @@ class Prediction(Outcome):
                 yield Variable(name, ("draw",), "mm", meaning), sizes
 
 
-def _lines(content: Mapping[str, Any]) -> list[str]:
-    """Return the summary of the contents of prediction.json, with its warnings."""
-    end, lines = content["time"][-1], []
-    for name, entry in content["quantiles"].items():
-        low, _, median, _, high = entry["values"][-1]
-        if name in _CONDITIONS or (high == 0.0 and name != "penetration"):
-            continue
-        unit, factor = DISPLAY_UNITS.get(name, (entry["unit"], 1.0))
-        unit = unit.replace("\N{MICRO SIGN}", "u")
-        first, middle, last = (f"{factor * value:.4g}" for value in (low, median, high))
-        spread = "" if first == last else f"  from {first} to {last} {unit}"
-        lines.append(f"{name.replace('_', ' ')}  {middle} {unit}{spread}")
-    lines[0] += f" (95 %, {content['whose']}, after {time_words(end, end)})"
-    if content["depth"] is not None:
-        lines.append(depth_line(content["depth"], end))
-    failed = f"; {content['failed']} more have no history" * bool(content["failed"])
-    lines.append(f"{content['draws']} draws of {legible(content['fit'])}{failed}")
-    return [*lines, *warning_lines(doubt["text"] for doubt in content["doubts"])]
-
-
 def band_panel(content: Mapping[str, Any]) -> Panel:
     """Return the panel of the contents of prediction.json: penetration, bands of 50 and 95 %."""
     time = np.array(content["time"], dtype=float)
@@ -257,7 +229,7 @@ def band_panel(content: Mapping[str, Any]) -> Panel:
     time, (low, lower, median, upper, high) = time / seconds, factor * quantiles
     return Panel(
         Axis(f"time ({unit})", zero=True), Axis(f"penetration ({depth})", zero=True),
-        content.get("whose", content["of"]),
+        content["whose"],
         curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
         bands=[
             Band(time, low, high, "95 %", COLOURS[0], 0.18),

@@ -48,7 +48,7 @@ PLACES = {
     "pictures.figures": "FigureFile plot",
     "pictures.run_panels": "HISTORY_PANELS",
     "prediction.predict": "draw_paces fit_draws",
-    "prediction.prediction": "TimeTo times_at",
+    "prediction.prediction": "TimeTo",
     "reports.spreadsheets": "export",
     "results.recorder": "Recorder",
     "results.run": "run_case",

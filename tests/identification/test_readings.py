@@ -55,11 +55,13 @@ def test_nuisances():
     case = rw.read_case("scripts/cases/paper.toml", {"load.force": load, "time.steps": 10})
     kinds = tuple(Nuisance(kind) for kind in ("offset", "drift", "compliance"))
     record = replace(series(np.zeros(5)), x=np.arange(1.0, 6.0), factor=1e-3, nuisances=kinds)
-    columns = nuisance_columns(record, case, 0.0)
+    (columns,) = nuisance_columns(record, case, np.zeros(1))
     expected = [np.ones(5), record.x / 10.0, 1e-3 * np.array([0, 0, 20, 40, 40])]
     assert pytest.approx(1e-3 * np.array(expected)) == columns.T
     tilted = replace(record, quantity="profile.lower", nuisances=(Nuisance("tilt"),))
-    assert nuisance_columns(tilted, case, 0.0)[:, 0] == pytest.approx(1e-3 * (record.x - 30.0))
+    assert nuisance_columns(tilted, case, np.zeros(1))[0, :, 0] == pytest.approx(
+        1e-3 * (record.x - 30.0)
+    )
 
 
 def test_growth_with_friction_power_is_a_sum_over_steps():
@@ -71,7 +73,7 @@ def test_growth_with_friction_power_is_a_sum_over_steps():
         share * -np.expm1(-np.maximum(t - start, 0.0) / 1500.0)
         for share, start in ((0.5, 0.0), (0.5, 3000.0), (-0.75, 5000.0))
     )
-    found = growth(Nuisance("thermal", power=True), case, t, 1500.0)
+    (found,) = growth(Nuisance("thermal", power=True), case, t, np.array([1500.0]))
     assert found == pytest.approx(expected, abs=1e-6)
 
 

@@ -17,13 +17,15 @@ from parts import (
     Setting,
     StopSignals,
     TestLikelihood,
+    TimeTo,
     fit_draws,
+    main,
     toml_text,
 )
 from scipy.special import logsumexp
 
 import ringwear_par as rw
-from ringwear_par.monitoring.answer import answer_of, part_of, time_to
+from ringwear_par.monitoring.answer import answer_of, part_of, penetrations
 from ringwear_par.monitoring.follow import read_running, run_follow
 from ringwear_par.monitoring.follower import Follower
 
@@ -148,14 +150,13 @@ def follow(path, folder, name="out", **options):
 def test_the_posterior_of_a_running_test(folder):
     """By hand; the interval narrows, and what half the test expects of the whole one is right."""
     path = running(folder)
-    stored = follow(path, folder, depth="5 um")
+    stored = follow(path, folder, depth=5e-3)
     key, problem = stored["keys"][K], problem_of(path)
     low, high = key["interval"]
     check(np.log([low, key["estimate"], high]), quantiles_of(*by_hand(problem, TRUE_K)))
     assert np.array(key["told"]["interval"]) == pytest.approx(1e3 * np.array([low, high]))
     assert np.log(key["before"][1] / MATERIAL) == pytest.approx(1.96 * np.hypot(0.1, TAU), rel=0.05)
     assert stored["alarm"] is None
-    assert stored["interpolated"] < 1e-3
     truth = history(80.0, {K: TRUE_K, **P0}).histories
     first, last = stored["depth"]["interval"]
     assert first < np.interp(5e-3, truth["penetration"], truth["time"]) < last
@@ -163,7 +164,7 @@ def test_the_posterior_of_a_running_test(folder):
     wished = 50.0 * (at_40[3] - at_40[1]) / at_40[2]
     lines = (folder / "z.csv").read_text().splitlines(keepends=True)
     (folder / "half.csv").write_text("".join(lines[:16]) + lines[16][:4])  # and half a line
-    half = follow(running(folder, "half"), folder, to=f"{wished:.3f}%")
+    half = follow(running(folder, "half"), folder, to=wished)
     assert half["readings"] == 15
     assert half["goal"]["time"] == pytest.approx(at_40[0], abs=12.0)
     assert half["goal"]["at_end"] == pytest.approx(key["percent"], rel=0.1)
@@ -190,8 +191,9 @@ def test_random_wear_is_as_by_hand(folder):
         if size < 1e-4:  # where it is all but normal
             found = follower.update(test)
             check(quantiles_of_draws(found), quantiles_of(*by_hand(problem, TRUE_K, size)))
-        times = time_to(follower, follower.update(part_of(test, test.times <= 60.0)), 6.5e-3)
-        reached.append(np.quantile(times, (0.2, 0.5, 0.8), method="inverted_cdf"))
+        depths = penetrations(follower, follower.update(part_of(test, test.times <= 60.0)))
+        life = TimeTo.of(follower.time, depths, 6.5e-3, 0.6)
+        reached.append([life.interval[0], life.median, life.interval[1] or np.inf])
     assert 60.0 < reached[2][0] < reached[2][1] < END
     assert np.ptp(reached[2]) > 1.3 * np.ptp(reached[0])
 
@@ -324,12 +326,8 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(folder, capsys):
     [
         ("test 9", (), {"test": "test 9"}),
         ("S1", ('"runs"', '"S1"'), {}),
-        ("--after", (), {"after": None}),
-        ("15%", (), {"to": "0.15"}),
         ("fits contact.friction", ('"parameters" = {', MORE), {}),
         ("none.csv", ("z.csv", "none.csv"), {}),
-        ("--draws = 10(.|\n)*percentage(.|\n)*length", (),
-         {"draws": 10, "to": "a bit", "depth": "3 s"}),
     ],
 )  # fmt: skip
 def test_what_is_refused(word, edit, options, folder, tmp_path):
@@ -340,3 +338,17 @@ def test_what_is_refused(word, edit, options, folder, tmp_path):
     with pytest.raises(rw.InputError, match=word):
         run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--to", "0.15"], "15%"), (["--to", "a bit"], "percentage"), (["--draws", "10"], "2000"),
+        (["--seed", "-1"], "from 0"), (["--depth", "3"], "unit"), (["--depth", "3 s"], "length"),
+        ([], "--after"),
+    ],
+)  # fmt: skip
+def test_options_that_are_refused(words, said, folder, tmp_path, capsys):
+    after = ["--after", str(folder / "fit")] if words else []
+    assert main(["follow", str(running(folder)), "-o", str(tmp_path / "out"), *after, *words]) == 2
+    assert said in capsys.readouterr().err

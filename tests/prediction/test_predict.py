@@ -8,7 +8,7 @@ import pytest
 from drawn import SD, TAU, K, draws_of, fit_of, save_fit
 from laboratory import CASE
 from mpi4py import MPI
-from parts import TimeTo, draw_paces, main, times_at
+from parts import TimeTo, draw_paces, main
 from scipy.stats import norm
 
 import ringwear_par as rw
@@ -79,10 +79,11 @@ def test_whom_a_prediction_is_of(archard):
 def test_a_depth_is_reached_by_some_draws_only():
     """Draw i wears i um/s, linearly between unequal steps."""
     time, speeds = np.array([0.0, 1.0, 4.0, 10.0]), np.arange(1, 101)
-    times = times_at(time, 1e-3 * np.outer(speeds, time), 0.1)
-    assert times[9:] == pytest.approx(100.0 / speeds[9:])
-    assert np.isinf(times[:9]).all()
-    reached = TimeTo.of(times)
+    depths = 1e-3 * np.outer(speeds, time)
+    alone = [TimeTo.of(time, depths[i : i + 1], 0.1).median for i in range(100)]
+    assert alone[9:] == pytest.approx(100.0 / speeds[9:])
+    assert alone[:9] == [None] * 9
+    reached = TimeTo.of(time, depths, 0.1)
     assert reached.reached == pytest.approx(0.91)
     assert reached.median == pytest.approx(100.0 / 51)
     assert reached.interval == (pytest.approx(100.0 / 98), None)
@@ -150,9 +151,9 @@ def test_what_is_refused(archard, threshold, tmp_path):
     without = fit_of(draws_of(threshold, p0=np.zeros(200)))
     for source, case, options, said in (
         (tmp_path, archard, {}, "draws.nc"), (broken, archard, {}, "draws of ringwear fit"),
-        (fit, tmp_path / "no.toml", {}, "no.toml"), (fit, threshold, {}, 'must be "archard"'),
+        (fit, tmp_path / "no.toml", {}, "no.toml"), (fit, threshold, {}, 'law "archard"'),
         (fit, archard, {"of": "S9"}, '"S1", "S2"'),
-        (without, archard, {}, f'must be "threshold", of which the fit has {K}'),
+        (without, archard, {}, f'must have {K} of the law "threshold"'),
         (fit, archard, {"draws": 0}, "draws"), (fit, archard, {"seed": -1}, "seed"),
         ({}, archard, {}, "dict"),
     ):  # fmt: skip

@@ -109,7 +109,7 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
     for matrix, test, columns in zip(each, tests, slopes, strict=True):
         start = 0
         for series in test.series:
-            added = nuisance_columns(series, test.case, 25.0)
+            (added,) = nuisance_columns(series, test.case, np.array([25.0]))
             sds = [1e3 if n.prior is None else n.prior.sd for n in series.linear_nuisances]
             covariance = np.diag(series.sd**2) + (added * np.square(sds)) @ added.T
             part = columns[start : (start := start + series.n)]
