@@ -231,7 +231,8 @@ def parser() -> argparse.ArgumentParser:
         "monitoring.follow:run_follow",
         "ringwear follow fit.toml -o out/follow --after out/fit --to 5%", "solves")
     a.fit_file()
-    a.path("--after", required=True, metavar="FITDIR", help="folder of the fit of earlier tests")
+    a.path("--after", metavar="FITDIR",
+           help="folder of the fit of earlier tests (default: fit the file's other tests)")
     a.add_argument("--test", metavar="NAME", help="experiment that runs (default: the last one)")
     a.add_argument("--to", type=_percent, default="10%", metavar="PERCENT",
                    help="half width of the interval of k that is asked for (default: 10%%)")

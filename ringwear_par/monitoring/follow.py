@@ -19,6 +19,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
+from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.monitoring.answer import answer_of
 from ringwear_par.monitoring.follower import Follower
@@ -43,7 +44,7 @@ def run_follow(
     folder: Path,
     comm: MPI.Intracomm,
     *,
-    after: Path,
+    after: Path | None = None,
     test: str | None = None,
     to: float = 10.0,
     depth: float | None = None,
@@ -56,7 +57,7 @@ def run_follow(
     Parameters
     ----------
     source : the fit file, one of whose experiments runs.
-    after : folder of the fit of earlier tests.
+    after : folder of the fit of earlier tests; None: the other tests of the file are fitted first.
     test : name of the experiment; None: the last one.
     to : half width of the interval that is wished, in percent.
     depth : mm, of penetration, whose time is predicted.
@@ -68,12 +69,15 @@ def run_follow(
     ComputationError : the histories.
     """
 
-    def begin() -> tuple[Problem, Draws]:
+    def begin() -> Problem:
         check_folder(folder, (FOLLOW, PAGE), "follow")
-        return read_running(source, test or ""), fit_draws(after)
+        return read_running(source, test or "")
 
-    running, known = on_first_rank(comm, begin)
+    running = on_first_rank(comm, begin)
     name = running.experiments[0].name
+    others = partial(read_fit, source, running=name, others=True)
+    fit = after or fit_problem(on_first_rank(comm, others), comm)
+    known = on_first_rank(comm, lambda: fit_draws(fit))
 
     def answer() -> None:
         """Write and print an answer whenever the files have changed."""
@@ -83,7 +87,7 @@ def run_follow(
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
             if follower is None or frame != (problem.text, test.case.text, fixed):
-                followed, of = _followed(problem, after, known)
+                followed, of = _of_the_fit(problem, after, known)
                 readings.tell(f"histories of {legible(name)}")
                 follower = Follower(known, of, followed, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
@@ -158,19 +162,20 @@ def read_running(source: Path, name: str = "") -> Problem:
     return replace(problem, experiments=(replace(test, series=series),))
 
 
-def _followed(problem: Problem, after: Path, draws: Draws) -> tuple[Problem, str]:
+def _of_the_fit(problem: Problem, after: Path | None, draws: Draws) -> tuple[Problem, str]:
     """Return the problem of a test with the random wear that the fit knows, and whose test it is.
 
     InputError for the test of another fit.
     """
     (test,) = problem.experiments
-    with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
-        tested = test.name in outcome["experiments"]
-    if tested:
-        raise InputError(
-            f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
-            "readings would count twice; must be followed after a fit without it"
-        )
+    if after:
+        with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
+            tested = test.name in outcome["experiments"]
+        if tested:
+            raise InputError(
+                f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
+                "readings would count twice; must be followed after a fit without it"
+            )
     if problem.keys != draws.keys:
         raise InputError(
             f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "

@@ -326,6 +326,7 @@ def test_a_transition_raises_an_alarm_while_the_file_grows(folder, capsys):
     [
         ("test 9", (), {"test": "test 9"}),
         ("S1", ('"runs"', '"S1"'), {}),
+        ("--after", (), {"after": None}),
         ("fits contact.friction", ('"parameters" = {', MORE), {}),
         ("none.csv", ("z.csv", "none.csv"), {}),
     ],
@@ -345,10 +346,9 @@ def test_what_is_refused(word, edit, options, folder, tmp_path):
     [
         (["--to", "0.15"], "15%"), (["--to", "a bit"], "percentage"), (["--draws", "10"], "2000"),
         (["--seed", "-1"], "from 0"), (["--depth", "3"], "unit"), (["--depth", "3 s"], "length"),
-        ([], "--after"),
     ],
 )  # fmt: skip
 def test_options_that_are_refused(words, said, folder, tmp_path, capsys):
-    after = ["--after", str(folder / "fit")] if words else []
-    assert main(["follow", str(running(folder)), "-o", str(tmp_path / "out"), *after, *words]) == 2
+    command = ["follow", str(running(folder)), "-o", str(tmp_path / "out"), *words]
+    assert main([*command, "--after", str(folder / "fit")]) == 2
     assert said in capsys.readouterr().err

@@ -53,12 +53,13 @@ def read_fit(
     *,
     plans: bool = False,
     running: str | None = None,
+    others: bool = False,
 ) -> Problem:
     """Read a fit file with its case and all its measurements, or a dict of them. Not collective.
 
     Planned readings only where ``plans``. Of a ``running`` experiment ("": the last one) this one
-    alone, whose files grow and whose readings may be too few for a fit. Raises InputError with all
-    faults.
+    alone, whose files grow and whose readings may be too few for a fit, or all ``others``. Raises
+    InputError with all faults.
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")
@@ -70,17 +71,19 @@ def read_fit(
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     units = written_units(tables.get("case"), folder)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), units, faults)
-    files = FileStore(folder, growing=running is not None)
+    alone = running is not None and not others
+    files = FileStore(folder, growing=alone)
     reader = ExperimentReader(name, folder, base, files, plans, parameters, faults)
     tests = _experiment_tables(name, tables, base, files, faults)
     if running is not None:
-        tests = _chosen(name, tests, running)
+        tests = _chosen(name, tests, running, others)
     experiments = reader.all(tests)
     design = _read_design_space(f"{name}: design", tables.get("design", {}), units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), units, folder, faults)
     _refuse(faults)
-    problem = Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
-    if running is not None:
+    whose = f"{name}: without {legible(running or '')}" if others else name
+    problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
+    if alone:
         return problem
     check_censored(problem, faults)
     _check(problem, faults)
@@ -110,8 +113,10 @@ def _refuse(faults: Sequence[str]) -> None:
         raise InputError(*said)
 
 
-def _chosen(name: str, tests: list[tuple[str, Any]], running: str) -> list[tuple[str, Any]]:
-    """Return the table of the running test out of those of a fit file."""
+def _chosen(
+    name: str, tests: list[tuple[str, Any]], running: str, others: bool
+) -> list[tuple[str, Any]]:
+    """Return the table of the running test, or of all others, out of those of a fit file."""
     names = [table.get("name") if isinstance(table, Mapping) else None for _, table in tests]
     known = [named for named in names if isinstance(named, str)]
     if not known:  # which their readers say
@@ -120,7 +125,14 @@ def _chosen(name: str, tests: list[tuple[str, Any]], running: str) -> list[tuple
     if running not in known:
         every = ", ".join(map(legible, known))
         raise InputError(f"--test = {legible(running)}: must be one of {every} of {name}")
-    return [one for one, named in zip(tests, names, strict=True) if named == running]
+    if others and len(tests) == 1:
+        raise InputError(
+            f"{name}: has no test but {legible(running)}; --after must name the folder of a fit of "
+            "others"
+        )
+    return [
+        one for one, named in zip(tests, names, strict=True) if (named == running) is not others
+    ]
 
 
 def _experiment_tables(
