@@ -92,6 +92,9 @@ def test_a_rank_that_fails_alone_ends_the_job(tmp_path):
         (["run", PAPER, "-o", "a.h5", "--plot", "no/a.png"], "no/a.png"),
         (["run", PAPER, "-o", "a.h5", "--set", "time.steps=1000000000000"], "memory"),
         (["plot", "a.h5", "-o", "a.png", "--dpi", "9"], "2400"),
+        (["follow", "a.toml", "-o", "a", "--after", "b", "--to", "0.15"], "15%"),
+        (["follow", "a.toml", "-o", "a", "--after", "b", "--draws", "10"], "2000"),
+        (["follow", "a.toml", "-o", "a", "--after", "b", "--depth", "3 s"], "20 um"),
         (["info", "--schema", "nothing_like_it"], "nothing_like_it"),
     ],
 )

@@ -19,7 +19,6 @@ from parts import (
     TestLikelihood,
     TimeTo,
     fit_draws,
-    main,
     toml_text,
 )
 from scipy.special import logsumexp
@@ -165,8 +164,7 @@ def test_the_posterior_of_a_running_test(folder):
     lines = (folder / "z.csv").read_text().splitlines(keepends=True)
     (folder / "half.csv").write_text("".join(lines[:16]) + lines[16][:4])  # and half a line
     half = follow(running(folder, "half"), folder, to=wished)
-    assert half["readings"] == 15
-    assert half["goal"]["time"] == pytest.approx(at_40[0], abs=12.0)
+    assert (half["readings"], half["goal"]["time"]) == (15, pytest.approx(at_40[0], abs=12.0))
     assert half["goal"]["at_end"] == pytest.approx(key["percent"], rel=0.1)
     assert 'http-equiv="refresh"' in (folder / "out" / "follow.html").read_text()
 
@@ -339,16 +337,3 @@ def test_what_is_refused(word, edit, options, folder, tmp_path):
     with pytest.raises(rw.InputError, match=word):
         run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--to", "0.15"], "15%"), (["--to", "a bit"], "percentage"), (["--draws", "10"], "2000"),
-        (["--seed", "-1"], "from 0"), (["--depth", "3"], "unit"), (["--depth", "3 s"], "length"),
-    ],
-)  # fmt: skip
-def test_options_that_are_refused(words, said, folder, tmp_path, capsys):
-    command = ["follow", str(running(folder)), "-o", str(tmp_path / "out"), *words]
-    assert main([*command, "--after", str(folder / "fit")]) == 2
-    assert said in capsys.readouterr().err

@@ -81,11 +81,9 @@ def test_a_depth_is_reached_by_some_draws_only():
     time, speeds = np.array([0.0, 1.0, 4.0, 10.0]), np.arange(1, 101)
     depths = 1e-3 * np.outer(speeds, time)
     alone = [TimeTo.of(time, depths[i : i + 1], 0.1).median for i in range(100)]
-    assert alone[9:] == pytest.approx(100.0 / speeds[9:])
-    assert alone[:9] == [None] * 9
+    assert alone == [None] * 9 + [pytest.approx(100.0 / speed) for speed in speeds[9:]]
     reached = TimeTo.of(time, depths, 0.1)
-    assert reached.reached == pytest.approx(0.91)
-    assert reached.median == pytest.approx(100.0 / 51)
+    assert (reached.median, reached.reached) == pytest.approx((100.0 / 51, 0.91))
     assert reached.interval == (pytest.approx(100.0 / 98), None)
 
 
