@@ -21,10 +21,10 @@ ROOMS = {
     "files": 1225,
     "measuring": 2509,
     "results": 2620,
-    "studies": 2830,
+    "studies": 2689,
     "identification": 6974,
     "prediction monitoring": 1407,
-    "pictures reports explorer functions": 4984,
+    "pictures reports explorer functions": 5124,
     "verify.py cli.py commands.py info.py __init__.py __main__.py version.py": 762,
     "parallel.py petsc.py arrays.py batched.py options.py": 263,
 }
