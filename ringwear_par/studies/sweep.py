@@ -220,8 +220,6 @@ def _compute_block(
 
     Contact pairs are those of the block before, and then those of this one.
     """
-    for key in [*pairs][:-1]:  # which blocks that follow may share
-        del pairs[key]
     cases = study.cases_of(block.numbers)
     parts, errors = computed(cases, pairs, comm)
     histories = [(np.array(p.numbers), p.recorder.columns(p.failures)) for p in parts]
