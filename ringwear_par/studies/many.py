@@ -6,8 +6,7 @@ predictions share lists of cases out over the ranks.
 
 import logging
 from collections import defaultdict
-from collections.abc import Hashable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 from mpi4py import MPI
@@ -26,7 +25,6 @@ from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -74,13 +72,8 @@ def simulate_all(
     >>> [f"{1e3 * one.histories['penetration'][-1]:.2f} um" for one in rw.simulate_all(cases)]
     ['5.17 um', '9.73 um']
     """
-    if batch is not None and not (is_whole(batch) and batch >= 1):
+    if batch is not None and not (isinstance(batch, int) and batch >= 1):
         raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
-    if isinstance(cases, Case | Mapping | str | Path):
-        raise InputError(
-            f"simulate_all: a list of cases is needed, not {type(cases).__name__}; simulate "
-            "takes one case"
-        )
     cases = list(cases)
     for number, case in enumerate(cases):
         need_case(case, f"simulate_all: cases[{number}]")

@@ -153,10 +153,6 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
 # -- of all ------------------------------------------------------------------------------------
 
 
-class DamagedError(InputError):
-    """A block was damaged, and has been removed."""
-
-
 @contextmanager
 def _opened(block: Block) -> Iterator[h5py.File]:
     """Yield the file of a block to read, see ``reading``; remove it if it is damaged."""
@@ -168,7 +164,7 @@ def _opened(block: Block) -> Iterator[h5py.File]:
     except InputError as error:
         log.warning("%s; it is removed, and its cases are computed anew", error)
         block.path.unlink()
-        raise DamagedError(str(error)) from error
+        raise
 
 
 def fingerprint(blocks: Sequence[Block]) -> str:
@@ -192,7 +188,7 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 
     Raises
     ------
-    DamagedError : a block was.
+    InputError : a block cannot be read; one that is damaged is removed.
     ComputationError : there is not enough space for them.
     OSError : the disk.
     """

@@ -15,7 +15,7 @@ from wearing import ThresholdLaw as ThresholdLaw
 PLACES = {
     "cases.case": "Load Output Ring RingLayer Stepping",
     "cases.files.law_trials": "refuse_bad_laws",
-    "cases.files.reading": "make_case parse_case",
+    "cases.files.reading": "parse_case",
     "cases.files.weighings": "read_weighings",
     "cases.units": "factor named_unit unit_of_column",
     "cases.values": "RejectedError",
