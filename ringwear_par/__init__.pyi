@@ -16,6 +16,7 @@ from ringwear_par.measuring.measure import measure as measure
 from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
 from ringwear_par.prediction.predict import predict as predict
 from ringwear_par.prediction.prediction import Prediction as Prediction
+from ringwear_par.reports.plot import plot as plot
 from ringwear_par.reports.report import report as report
 from ringwear_par.results.files import open_result as open_result
 from ringwear_par.results.result import FailedResult as FailedResult
@@ -23,7 +24,6 @@ from ringwear_par.results.result import Result as Result
 from ringwear_par.results.run import simulate as simulate
 from ringwear_par.studies.ensemble import open_ensemble as open_ensemble
 from ringwear_par.studies.many import simulate_all as simulate_all
-from ringwear_par.studies.plot import plot as plot
 from ringwear_par.studies.study import Study as Study
 from ringwear_par.studies.study import read_study as read_study
 from ringwear_par.studies.surrogate import surrogate as surrogate

@@ -152,7 +152,7 @@ def parser() -> argparse.ArgumentParser:
     a.flag("--dry-run", "count cases, compute one block, which stays, and estimate time by it")
     a = command(
         "plot", "draw figures of runs, of a sweep, or of the rig of a case file",
-        "studies.plot:plot_stored",
+        "reports.plot:plot_stored",
         "ringwear plot run.h5 soft.h5 -o runs.png --panels wear,penetration,pressure\n  "
         "ringwear plot out/study -o study.png",
         "serial")

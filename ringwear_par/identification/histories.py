@@ -21,7 +21,6 @@ from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.cases.smooth_keys import is_elastic
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.elastic import operator_key
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.readings import read
 from ringwear_par.parallel import together
@@ -192,8 +191,6 @@ class Readings:
             cases, self._pairs, step_times=[grids[test].tolist() for test in owners],
             paces=None if factors == (1.0, 1.0) else paces,
         )  # fmt: skip
-        used = {operator_key(case) for case in cases if isinstance(case, Case)}
-        self._pairs = {key: pair for key, pair in self._pairs.items() if key in used}
         rows: list[Row] = [reason_of(failed[i]) if i in failed else "" for i in range(len(cases))]
         for part in parts:
             columns, of_part = part.recorder.columns(part.failures), np.array(part.numbers)

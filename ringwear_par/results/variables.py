@@ -91,8 +91,6 @@ def axis(name: str) -> Variable:
     return Variable(name, (name,), "1", meaning, integer=name not in WORDS)
 
 
-ELEMENT, LAYER, UPPER_LAYER, POINT = map(axis, ("element", "layer", "layer_upper", "point"))
-
 # -- the table -------------------------------------------------------------------------------------
 
 
@@ -113,7 +111,8 @@ HISTORIES = _GROUPS["history"]
 #: the contact line, and fields along it at each stored state or at the last (``at_last_step``)
 LINE, PROFILES = _GROUPS["line"], _GROUPS["profile"]
 #: of every pressure that is stored, see ``edge_elements``
-EDGE_ELEMENT = _GROUPS["edge"]["edge_element"]
+EDGE = _GROUPS["edge"]
+EDGE_ELEMENT = EDGE["edge_element"]
 #: of bodies with layers: at each stored state, by layer, and along the contact line as ``PROFILES``
 LAYER_HISTORIES, LAYER_VOLUMES = _GROUPS["layer history"], _GROUPS["layer volume"]
 LAYER_PROFILES = _GROUPS["layer profile"]
@@ -129,7 +128,7 @@ STRESSES = _GROUPS["stress"]
 POINTS = {name: STRESSES[name] for name in ("point_r", "point_z", "point_side")}
 #: all variables of a result by their places in its file; groups have axes of their own
 VARIABLES = {
-    **_GROUPS["axis"], **HISTORIES, **LINE, **PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT,
+    **_GROUPS["axis"], **HISTORIES, **LINE, **PROFILES, **EDGE,
     **LAYERS, **_GROUPS["layer end"], **STRESSES, **LABORATORY_NUMBERS,
     **{f"boundary/{body}/{name}": v for body in BODIES for name, v in _GROUPS["boundary"].items()},
 }  # fmt: skip
@@ -145,6 +144,8 @@ def _at_stored_states(*names: str) -> dict[str, Variable]:
 LARGEST_STRESS = _at_stored_states(*(f"max_mises{end}" for end in ("", "_r", "_z", "_layer")))
 LAYER_STRESS = _at_stored_states("max_mises_lower_layers", "max_mises_upper_layers")
 POINT_STRESS = _at_stored_states("mises", "max_shear")
+#: what sweeps store about each case
+OF_CASES = _GROUPS["sweep"]
 #: coordinates that are no dimensions
 COORDINATES = (
     "time", *LINE, "stress_time", *POINTS,

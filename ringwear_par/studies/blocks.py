@@ -67,10 +67,11 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
     of others, and takes over what a killed process had locked. Shares are those of teams of ranks:
     each begins with its own, and has no other where there are no locks.
     """
-    first = len(blocks) * share // shares
-    left, nap = [*blocks[first:], *blocks[:first]], _SHORTEST_NAP
-    while left:
-        at_work = []
+    first, nap = len(blocks) * share // shares, 0.0
+    left = [*blocks[first:], *blocks[:first]]
+    while left := [block for block in left if not block.path.exists()]:
+        time.sleep(nap)
+        nap = min(2.0 * nap + _SHORTEST_NAP, _LONGEST_NAP)
         for block in left:
             if block.path.exists():
                 continue
@@ -81,8 +82,7 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
             with lock:
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    at_work.append(block)
+                except BlockingIOError:  # another process is at work on it
                     continue
                 except OSError:
                     log.warning("%s: has no locks; each rank computes its share", lock.name)
@@ -90,11 +90,7 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
                     return
                 try:
                     if not block.path.exists():
-                        nap = _SHORTEST_NAP
+                        nap = 0.0
                         yield block
                 finally:
                     Path(lock.name).unlink(missing_ok=True)
-        left = at_work
-        if left:
-            time.sleep(nap)
-            nap = min(2.0 * nap, _LONGEST_NAP)

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_label
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.results import variables
@@ -36,40 +36,20 @@ _LOG_KEY = 20.0
 
 #: at the stored states that stress is computed for
 STRESS = {**variables.LARGEST_STRESS, **variables.LAYER_STRESS, **variables.POINT_STRESS}
-#: along the contact line, at each stored state or at the last one
-FIELDS = {**variables.PROFILES, **variables.LAYER_PROFILES}
 #: numbers that follow from a history, at its end
 _NUMBERS = {
     name: replace(number, dimensions=(), meaning=f"{number.meaning}, at the last stored step")
     for name, number in LABORATORY_NUMBERS.items()
 }
-#: a number of each case, or one a point
-OF_A_CASE = {**variables.TIMES_THROUGH, **variables.POINTS, **_NUMBERS}
 #: of a case's history; all but ``HISTORIES`` are of some cases only, padded with NaN in the others
 STORED = {
-    **HISTORIES, **variables.LAYER_HISTORIES, **variables.LAYER_VOLUMES, **STRESS,
-    **variables.LINE, **FIELDS, **OF_A_CASE,
-}  # fmt: skip
-#: about each case
-OF_CASES = {
-    name: Variable(name, ("case",), unit, meaning)
-    for name, unit, meaning in (
-        ("case", "1", "case, by its content"),
-        ("number", "1", "number of the case in the design"),
-        ("status", "1", "done, failed or incomplete"),
-        ("error", "1", "why the case failed"),
-        ("flags", "1",
-         "what makes the answer doubtful or ended the case early, separated by commas"),
-        ("seconds", "s", "wall time of the case"),
-        ("imbalance", "1",
-         "worst error of the balances of force, energy and contact of its steps"),
-        ("steps_stored", "1", "number of stored steps"),
-        ("elements", "1", "number of contact elements"),
+    name: replace(variable, dimensions=("case", *variable.dimensions))
+    for table in (
+        HISTORIES, variables.LAYERS, STRESS, variables.LINE, variables.PROFILES, variables.EDGE,
+        variables.TIMES_THROUGH, variables.POINTS, _NUMBERS,
     )
+    for name, variable in table.items()
 }  # fmt: skip
-
-#: axes other than those of steps and elements, and their coordinates
-AXES = {axis.name: axis for axis in (variables.LAYER, variables.UPPER_LAYER, variables.POINT)}
 #: replaces a layer's number, since cases of a sweep may have other numbers of layers
 BODY = "body"
 
@@ -90,36 +70,30 @@ STRESS_STATES = "max_mises"
 def _stored_end_value(source: Variable) -> tuple[str, Variable]:
     """Return the column of ``cases.csv`` for a variable at the end, and what results store."""
     name, meaning = source.name, source.meaning
-    axes = ("case", *(axis for axis in source.dimensions if axis in AXES))
-    if name in OF_A_CASE:
-        return name, replace(source, dimensions=axes)
-    if name in FIELDS:
+    if "step" not in source.dimensions:
+        return name, source
+    axes = tuple(axis for axis in source.dimensions if axis not in ("step", "element"))
+    if name in variables.FIELDS:
         name, meaning = f"least_{name}", f"least {meaning}"
     when = "time that it is stored of" if name in STRESS else "stored step"
     return name, Variable(f"final_{name}", axes, source.unit, f"{meaning}, at the last {when}")
 
 
-_BY_BODY = (
-    variables.LAYER_VOLUMES, variables.LAYER_HISTORIES, variables.TIMES_THROUGH,
-    variables.LAYER_PROFILES,
+_OF_LAYERS = (
+    ("worn_volume", "_layers"), ("share_through", ""), ("time_through", ""), ("layer_left", "")
 )  # fmt: skip
 #: numbers of each case, or of each of its layers or points: columns of ``cases.csv`` in their
 #: order, and the variables of results that have them
 END_VALUES = dict(
-    map(
-        _stored_end_value,
-        (
-            *(HISTORIES[name] for name in MAIN_END_VALUES),
-            *(OF_A_CASE[name] for name in LABORATORY_NUMBERS),
-            *chain(*zip(*(table.values() for table in _BY_BODY), strict=True)),
-            *STRESS.values(),
-        ),
+    _stored_end_value(STORED[name])
+    for name in (
+        *MAIN_END_VALUES, *LABORATORY_NUMBERS,
+        *(f"{number}_{body}{of}" for body in BODIES for number, of in _OF_LAYERS), *STRESS,
     )
-)
+)  # fmt: skip
 #: all variables of results by name, but varied keys
 VARIABLES = {
-    **STORED, "edge_element": variables.EDGE_ELEMENT,
-    **{variable.name: variable for variable in END_VALUES.values()}, **OF_CASES,
+    **STORED, **{variable.name: variable for variable in END_VALUES.values()}, **variables.OF_CASES
 }  # fmt: skip
 
 
@@ -136,10 +110,11 @@ def end_values(tables: Mapping[str, Any]) -> dict[str, FloatArray]:
             continue
         there = np.isfinite(tables[STRESS_STATES if source in STRESS else "time"])
         rows, axes = tables[source], STORED[source].dimensions
-        if "step" in axes and rows.ndim == len({"case", *axes}):
+        if "step" in axes and rows.ndim == len(axes):
             last = there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
             rows = rows[np.arange(len(rows)), last]
-        ends[variable.name] = np.fmin.reduce(rows, axis=-1) if source in FIELDS else rows.copy()
+        least = source in variables.FIELDS
+        ends[variable.name] = np.fmin.reduce(rows, axis=-1) if least else rows.copy()
         ends[variable.name][~there.any(axis=1)] = np.nan
     return ends
 

@@ -6,8 +6,7 @@ predictions share lists of cases out over the ranks.
 
 import logging
 from collections import defaultdict
-from collections.abc import Hashable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 from mpi4py import MPI
@@ -25,7 +24,6 @@ from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.recorder import Recorder
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.variations import is_whole
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -73,13 +71,8 @@ def simulate_all(
     >>> [f"{1e3 * one.histories['penetration'][-1]:.2f} um" for one in rw.simulate_all(cases)]
     ['5.17 um', '9.73 um']
     """
-    if batch is not None and not (is_whole(batch) and batch >= 1):
+    if batch is not None and not (isinstance(batch, int) and batch >= 1):
         raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
-    if isinstance(cases, Case | Mapping | str | Path):
-        raise InputError(
-            f"simulate_all: a list of cases is needed, not {type(cases).__name__}; simulate "
-            "takes one case"
-        )
     cases = list(cases)
     for number, case in enumerate(cases):
         need_case(case, f"simulate_all: cases[{number}]")
@@ -113,43 +106,42 @@ def results_of(
         blocks += [numbers[i : i + (batch or most)] for i in range(0, len(numbers), batch or most)]
     pairs: dict[Hashable, ContactPair] = {}
 
-    def checked(case: Case | RingwearError) -> Case | Exception:
-        try:
-            if isinstance(case, Case):  # its contact pair is checked with its mesh
-                check_case(case, 1, "case", known_mesh=True)
-        except Exception as error:
-            return error
-        return case
-
-    def computed_block(numbers: Sequence[int]) -> dict[int, Result | FailedResult]:
+    def block_of(numbers: Sequence[int]) -> dict[int, Result | FailedResult]:
         """Return the results of cases of a contact pair, by this rank alone."""
-        for key in [*pairs][:-1]:  # blocks of the last one may follow
-            del pairs[key]
-        parts, errors = computed(
-            [checked(cases[n]) for n in numbers], pairs, results=True,
+        parts, found = computed(
+            [_checked(cases[n]) for n in numbers], pairs, results=True,
             step_times=_some(step_times, numbers), paces=_some(paces, numbers),
         )  # fmt: skip
-        found: dict[int, Result | Exception] = {**errors}
+        outcomes: dict[int, Result | Exception] = {**found}
         for part in parts:
-            found |= part.results()
-        return {
-            numbers[i]: result if isinstance(result, Result) else _failed(cases[numbers[i]], result)
-            for i, result in found.items()
-        }
+            outcomes |= zip(part.numbers, part.recorder.results(part.failures), strict=True)
+        return {numbers[i]: _outcome(cases[numbers[i]], of) for i, of in outcomes.items()}
 
     results: dict[int, Result | FailedResult] = {}
     with together(comm):  # or the others would wait for its results
-        mine = [computed_block(numbers) for numbers in blocks[comm.rank :: comm.size]]
+        mine = [block_of(numbers) for numbers in blocks[comm.rank :: comm.size]]
     for i in range(len(blocks)):  # one by one: all might be too much for a message
         part = mine[i // comm.size] if i % comm.size == comm.rank else {}
         results |= comm.bcast(part, i % comm.size) if comm.size > 1 else part
     return [results[number] for number in range(len(cases))]
 
 
-def _failed(case: Case | RingwearError, error: Exception) -> FailedResult:
-    """Return the outcome of a case without a history."""
-    log.debug("a case failed", exc_info=error)
-    reason = as_ours(error)
+def _checked(case: Case | RingwearError) -> Case | Exception:
+    """Return a case, or why it cannot be computed; its mesh is checked with its contact pair."""
+    try:
+        if isinstance(case, Case):
+            check_case(case, 1, "case", known_mesh=True)
+    except Exception as error:
+        return error
+    return case
+
+
+def _outcome(case: Case | RingwearError, result: Result | Exception) -> Result | FailedResult:
+    """Return the result of a case, or the failed one of a case without a history."""
+    if isinstance(result, Result):
+        return result
+    log.debug("a case failed", exc_info=result)
+    reason = as_ours(result)
     # they hold the model and its matrices
     reason.__traceback__ = reason.__cause__ = reason.__context__ = None
     return FailedResult(case.stored_text if isinstance(case, Case) else "", reason)
@@ -191,10 +183,6 @@ class Computed(NamedTuple):
     #: why some of them failed, by place in ``numbers``
     failures: dict[int, Exception]
 
-    def results(self) -> dict[int, Result | Exception]:
-        """Return the results, or why there are none, by number."""
-        return dict(zip(self.numbers, self.recorder.results(self.failures), strict=True))
-
 
 def computed(
     cases: Sequence[Case | Exception],
@@ -210,7 +198,7 @@ def computed(
     Parameters
     ----------
     cases : or why there is none.
-    pairs : of earlier cases, by operator; those that these cases lack are added.
+    pairs : of earlier cases, by operator; become those of these cases.
     results : whether there are to be results, beside columns.
     step_times, paces : of each case, see ``Block.of``.
 
@@ -223,16 +211,16 @@ def computed(
     ------
     InputError : an option for PETSc, which no case can do with.
     """
-    errors: dict[int, Exception] = {}
-    good: dict[int, Case] = {}
+    errors = {number: case for number, case in enumerate(cases) if isinstance(case, Exception)}
+    good = {number: case for number, case in enumerate(cases) if isinstance(case, Case)}
+    keys = {number: operator_key(case) for number, case in good.items()}
+    for key in pairs.keys() - {*keys.values()}:
+        del pairs[key]
     groups: dict[Hashable, list[int]] = defaultdict(list)
-    for number, case in enumerate(cases):
-        if isinstance(case, Exception):
-            errors[number] = case
-        elif (failure := _without_pair(case, pairs, comm)) is not None:
+    for number, case in good.items():
+        if keys[number] not in pairs and (failure := _add_pair(case, pairs, comm)) is not None:
             errors[number] = failure
         else:
-            good[number] = case
             groups[block_key(case)].append(number)
     blocks: list[list[int]] = []
     for numbers in groups.values():
@@ -245,7 +233,7 @@ def computed(
         chosen = [good[number] for number in numbers]
         try:
             following = Following(chosen[0], comm) if chosen[0].follows_wear else None
-            pair = [pairs[operator_key(c)] for c in chosen] if not following else [following.pair]
+            pair = [following.pair] if following else [pairs[keys[n]] for n in numbers]
             recorder = Recorder(chosen, comm, results=results, pair_is_shared=not following)
             block = Block.of(chosen, pair, _some(step_times, numbers), _some(paces, numbers))
             failures = simulate(block, recorder, following=following)
@@ -258,12 +246,8 @@ def computed(
     return parts, errors
 
 
-def _without_pair(
-    case: Case, pairs: dict[Hashable, ContactPair], comm: MPI.Comm
-) -> Exception | None:
-    """Have the contact pair of a case among the pairs, or return why it has none. Collective."""
-    if (key := operator_key(case)) in pairs:
-        return None
+def _add_pair(case: Case, pairs: dict[Hashable, ContactPair], comm: MPI.Comm) -> Exception | None:
+    """Add the contact pair of a case, or return why it has none. Collective on comm."""
     try:
         check_memory(case, comm.size, "case")
         check_mesh(case, "case")
@@ -271,7 +255,7 @@ def _without_pair(
         return error
     try:
         with together(comm):
-            pairs[key] = assemble(case, comm)
+            pairs[operator_key(case)] = assemble(case, comm)
     except InputError:
         raise
     except Exception as error:

@@ -26,7 +26,8 @@ from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
 from ringwear_par.results.files import UnreadableError, atomic_hdf5, reading
 from ringwear_par.results.result import HistoryColumns
-from ringwear_par.results.variables import ELEMENT, LINE, Variable, edge_elements
+from ringwear_par.results.variables import LINE, Variable, edge_elements
+from ringwear_par.results.variables import axis as axis_of
 from ringwear_par.studies import ensemble
 from ringwear_par.studies.blocks import Block
 from ringwear_par.studies.ensemble import END_VALUES, FILE_KIND, RESULTS, SOFTWARE, TABLE, VARIABLES
@@ -152,10 +153,6 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
 # -- of all ------------------------------------------------------------------------------------
 
 
-class DamagedError(InputError):
-    """A block was damaged, and has been removed."""
-
-
 @contextmanager
 def _opened(block: Block) -> Iterator[h5py.File]:
     """Yield the file of a block to read, see ``reading``; remove it if it is damaged."""
@@ -167,7 +164,7 @@ def _opened(block: Block) -> Iterator[h5py.File]:
     except InputError as error:
         log.warning("%s; it is removed, and its cases are computed anew", error)
         block.path.unlink()
-        raise DamagedError(str(error)) from error
+        raise
 
 
 def fingerprint(blocks: Sequence[Block]) -> str:
@@ -191,7 +188,7 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
 
     Raises
     ------
-    DamagedError : a block was.
+    InputError : a block cannot be read; one that is damaged is removed.
     ComputationError : there is not enough space for them.
     OSError : the disk.
     """
@@ -237,11 +234,15 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
     order = np.concatenate([block.numbers for block in blocks])
     keys = {name: study.stored(name)[order] for name in study.columns}
     layout = _layout(chain(contents(), [keys]))
-    variables = {name: _variable(name, 1 + len(layout[name][0])) for name in layout.keys() - keys}
-    for name, unit in study.units().items():
-        variables[name] = Variable(name, ("case",), unit or "1", own_key(name).meaning)
+    variables = {
+        name: Variable(name, ("case",), unit or "1", own_key(name).meaning)
+        for name, unit in study.units().items()
+    }
     sizes = {"step": 1, "element": 1}
     for name, (shape, kind) in layout.items():
+        if name not in keys:
+            is_whole = len(VARIABLES[name].dimensions) == 1 + len(shape)
+            variables[name] = VARIABLES[name] if is_whole else VARIABLES[name].at_last_step()
         sizes |= zip(variables[name].dimensions[1:], shape, strict=True)
         text = kind.kind == "S"
         data = file.create_dataset(
@@ -257,8 +258,7 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
             data.attrs.update(zip(("spacing", "low", "high"), study.ranges[name], strict=True))
     for axis, size in sizes.items():
         file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
-        about = {"step": _STATE, "element": ELEMENT, **ensemble.AXES}[axis]
-        file[axis].attrs.update(about.attributes)
+        file[axis].attrs.update((_STATE if axis == "step" else axis_of(axis)).attributes)
     file["case"].make_scale("case")
     for name, variable in variables.items():
         for i, axis in enumerate(variable.dimensions):
@@ -266,35 +266,21 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
                 file[name].dims[i].attach_scale(file[axis])
 
 
-def _variable(name: str, ndim: int) -> Variable:
-    """Return the variable of an array (cases, ...); fields of the last states have no steps."""
-    variable = VARIABLES[name]
-    if "step" in variable.dimensions and ndim < len({"case", *variable.dimensions}):
-        variable = variable.at_last_step()
-    axes = tuple(axis for axis in variable.dimensions if axis != "case")
-    return Variable(name, ("case", *axes), variable.unit, variable.meaning)
-
-
 def _columns(file: h5py.File, study: Study, block: Block, some: slice) -> dict[str, list[str]]:
     """Return the columns of the table of a block's cases, which are some of those in the file."""
-
-    def texts(*names: str) -> dict[str, list[str]]:
-        return {name: _texts(file[name][some]) for name in names}
-
-    columns = texts("case")
-    for name, column in study.columns.items():
-        columns[name] = [cell(value) for value in column[block.numbers].tolist()]
-    columns |= texts("status", "error")
+    columns = {"case": file["case"][some]}
+    columns |= {name: column[block.numbers] for name, column in study.columns.items()}
+    columns |= {name: file[name][some] for name in ("status", "error")}
     for name, variable in END_VALUES.items():
         if variable.name in file:
-            ends = ensemble.columns_of(name, file[variable.name][some])
-            columns |= {column: _texts(values) for column, values in ends.items()}
-    columns["seconds"] = [f"{seconds:.4f}" for seconds in file["seconds"][some].tolist()]
-    return columns | texts("flags", "number")
+            columns |= ensemble.columns_of(name, file[variable.name][some])
+    columns["seconds"] = file["seconds"][some].round(4)
+    columns |= {name: file[name][some] for name in ("flags", "number")}
+    return {name: _texts(values) for name, values in columns.items()}
 
 
 def _texts(values: Any) -> list[str]:
-    """Return the texts of numbers, "" for NaN, or of bytes."""
+    """Return the texts of raw values, "" for NaN, or of bytes."""
     if values.dtype.kind == "S":
         return np.char.decode(values, "utf-8").tolist()
-    return ["" if value != value else repr(value) for value in values.tolist()]
+    return ["" if value != value else cell(value) for value in values.tolist()]

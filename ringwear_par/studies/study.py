@@ -7,7 +7,7 @@ found when it is made, and fails alone.
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from html import escape
@@ -94,19 +94,15 @@ class Study:
 
     # -- cases -------------------------------------------------------------------------------------
 
-    def row(self, number: int) -> list[Any]:
-        """Return the raw values of a case, from 0 on."""
-        return [column.item(number) for column in self.columns.values()]
-
-    def keys(self, row: Sequence[Any]) -> dict[str, Any]:
-        """Return the dotted keys and raw values of a case with a row of values."""
-        return override(self.base, dict(zip(self.columns, row, strict=True)))
+    def row(self, number: int) -> dict[str, Any]:
+        """Return the raw values of the varied keys of a case, from 0 on."""
+        return {name: column.item(number) for name, column in self.columns.items()}
 
     def case(self, number: int, text: str | None = None) -> Case:
         """Return a case, from 0 on; InputError for one that cannot be."""
         name = f"{self.name}: case {number + 1}"
         with naming(f"{name}:"):
-            keys = self.keys(self.row(number))
+            keys = override(self.base, self.row(number))
         case = make_case(keys, name, text)
         refuse_bad_laws(case, name)
         return case
@@ -286,12 +282,12 @@ def _check(study: Study, ranks: int) -> None:
     check_memory(case, ranks, study.name)
     check_mesh(case, study.name)
     faults: list[Fault] = []
-    for i, column in enumerate(study.columns.values()):
+    for name, column in study.columns.items():
         first, codes = _distinct(column)
         every = range(len(first))
         for code in every if len(first) <= _MOST_VALUES else (0, len(first) - 1):
             number, last = int(first[code]), int(np.flatnonzero(codes == code)[-1])
-            keys = study.keys([*row[:i], column.item(number), *row[i + 1 :]])
+            keys = override(study.base, row | {name: column.item(number)})
             try:
                 make_case(keys, f"{study.name}: case {number + 1}", "")
             except InputError as error:

@@ -9,7 +9,7 @@ import fcntl
 import shutil
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from ringwear_par.results.progress import Progress, duration
 from ringwear_par.studies.blocks import FOLDER, Block, blocks_of, free_blocks, there
 from ringwear_par.studies.ensemble import FILE_KIND, RESULTS, SOFTWARE, TABLE, count_flags
 from ringwear_par.studies.many import computed
-from ringwear_par.studies.results_file import DamagedError, arrays_of, is_merged, merge, write_block
+from ringwear_par.studies.results_file import arrays_of, is_merged, merge, write_block
 from ringwear_par.studies.study import Study, read_study
 
 Source = Study | Path | str | Mapping[str, Any]
@@ -199,12 +199,12 @@ def _compute(work: _Work) -> int:
     team, share, shares = comm.Split(comm.rank // ranks), comm.rank // ranks, comm.size // ranks
     pairs: dict[Hashable, ContactPair] = {}
     cases, before, started = 0, there(blocks), time.perf_counter()
-    bar: Any = closing(Progress(len(blocks), before)) if comm.rank == 0 else nullcontext()
+    bar = closing(Progress(len(blocks), before, silent=comm.rank > 0))
     with together(comm), closing(free_blocks(blocks, share, shares)) as free, bar as progress:
         while (block := on_first_rank(team, lambda: next(free, None))) is not None:
             _compute_block(work.study, block, pairs, team)
             cases += len(block.numbers) * (team.rank == 0)
-            if progress is not None and progress.is_due():
+            if progress.is_due():
                 done, count = there(blocks), len(blocks)
                 pace = (time.perf_counter() - started) / max(done - before, 1)
                 left = duration((count - done) * pace)
@@ -220,8 +220,6 @@ def _compute_block(
 
     Contact pairs are those of the block before, and then those of this one.
     """
-    for key in [*pairs][:-1]:  # which blocks that follow may share
-        del pairs[key]
     cases = study.cases_of(block.numbers)
     parts, errors = computed(cases, pairs, comm)
     histories = [(np.array(p.numbers), p.recorder.columns(p.failures)) for p in parts]
@@ -240,21 +238,25 @@ def _merge(work: _Work) -> bool:
         lock = (folder / "merge.lock").open("w")
     except FileNotFoundError:  # another process has merged them
         return True
-    with lock, suppress(DamagedError):  # which is computed anew
+    with lock:
         with suppress(OSError):  # there are no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         if is_merged(work.folder, blocks):
             return True
         if there(blocks) < len(blocks):
             return False
-        merge(work.study, blocks, work.folder, work.comm.size)
+        try:
+            merge(work.study, blocks, work.folder, work.comm.size)
+        except InputError:
+            if there(blocks) == len(blocks):
+                raise
+            return False  # a damaged one is computed anew
         if not any(map(_has_failed, blocks)):  # --retry-failed needs these
             done = folder.with_name(f".{FOLDER}")
             shutil.rmtree(done, ignore_errors=True)
             folder.rename(done)  # in one step, for processes that still look
             shutil.rmtree(done, ignore_errors=True)
         return True
-    return False
 
 
 # -- what is said ----------------------------------------------------------------------------------

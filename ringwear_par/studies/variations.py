@@ -153,11 +153,6 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     return value[index] if isinstance(value, list | tuple) and len(value) > index else None
 
 
-def is_whole(value: Any) -> bool:
-    """Tell whether a value is a whole number, which true and false are not."""
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
 def unnested(table: Mapping[str, Any], names: Set[str]) -> dict[str, Any]:
     """Return entries, tables of some names, by dotted key, whether written quoted or not."""
     flat: dict[str, Any] = {}
@@ -239,7 +234,8 @@ def _variation(key: str, entry: Any, in_grid: bool, folder: Path) -> Variation:
         case {"linear": [_, _] as ends, **more} | {"log": [_, _] as ends, **more}:
             low, high = (without_units(key, end) for end in ends)
             is_log, count = "log" in entry, entry.get("count")
-            counted = is_whole(count) and 2 <= count <= MOST_CASES if in_grid else count is None
+            good_count = isinstance(count, int) and 2 <= count <= MOST_CASES
+            counted = good_count if in_grid else count is None
             finite = is_finite(low) and is_finite(high) and low < high
             if finite and (low > 0 or not is_log) and counted and more.keys() <= {"count"}:
                 spacing = "log" if is_log else "linear"

@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 from known_sweeps import sample, write
+from parts import draw_sweep
 
 import ringwear_par as rw
-from ringwear_par.studies.plot import draw_sweep
 
 KEYS = ("wear.lower.k", "load.pressure", "wear.lower.p0")
 

@@ -50,7 +50,6 @@ def plot(
     steps : comma-separated step numbers of the profiles.
     times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
         stored states nearest to them are drawn. Without either: the first step and four quarters.
-
     width : mm, of the figure; None: what suits it.
 
     Returns

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from figure_texts import check_texts
 from known_sweeps import sample, write
-from parts import plot_stored
+from parts import choose, plot_stored
 
 import ringwear_par as rw
-from ringwear_par.studies.pictures import choose
-from ringwear_par.studies.plot import draw_sweep
+from ringwear_par.reports.plot import draw_sweep
 
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 
