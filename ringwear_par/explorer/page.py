@@ -155,7 +155,8 @@ class Explorer:
         """Fill a document of bokeh."""
         self._document = document
         document.title = f"{self._name} \N{EN DASH} ringwear explore"
-        document.add_root(self.layout)
+        for root in (self.layout, self._file):
+            document.add_root(root)
 
     def _make_widgets(self) -> None:
         """Make the widgets of the page, and its layout."""
@@ -163,7 +164,8 @@ class Explorer:
         self.text = Div(sizing_mode="stretch_width")
         self.charts = {name: charts.Chart() for name in ("wear", "pressure", "left", "right")}
         self._instant = Slider(title="Time of the thick line, share of the end", start=0, end=1,
-                               step=0.005, value=1, sizing_mode="stretch_width")  # fmt: skip
+                               step=0.005, value=1, show_value=False,
+                               sizing_mode="stretch_width")  # fmt: skip
         options = [name for name in HISTORY_PANELS if name != "penetration"]
         if not self.result.layers:
             options.remove("through")

@@ -22,8 +22,8 @@ class Cases:
     """The cases of a whole block, by the numbers of their histories."""
 
     every: tuple[Case, ...]
-    #: what laws of users do wrong, by number of the history
-    faults: dict[int, str] = field(default_factory=dict)
+    #: what laws of users do wrong, by body and layer, and by number of the history
+    faults: dict[tuple[int, int], dict[int, str]] = field(default_factory=dict)
     shared = True
 
 
@@ -224,8 +224,10 @@ def _wearing(cases: Cases, body: int, line: Line) -> Wearing:
     return Wearing(
         body,
         tuple(
-            partial(user, law.code, cases.faults) if law.code else law.kind.function
-            for law in first
+            partial(user, law.code, cases.faults.setdefault((body, layer), {}))
+            if law.code
+            else law.kind.function
+            for layer, law in enumerate(first)
         ),
         tuple(
             {

@@ -13,8 +13,9 @@ from ringwear_par.history.state import State, Step
 
 def _law_fault(block: Block, row: int, comm: MPI.Comm) -> str:
     """Return what a user's law did wrong in a history on any rank, "" for nothing. Collective."""
-    mine = block.cases.faults.get(int(block.number[row]), "")
-    return next(filter(None, comm.allgather(mine)), "")
+    number = int(block.number[row])
+    mine = (faults[number] for faults in block.cases.faults.values() if number in faults)
+    return next(filter(None, comm.allgather(next(mine, ""))), "")
 
 
 def contact_failure(block: Block, row: int, comm: MPI.Comm) -> ComputationError:

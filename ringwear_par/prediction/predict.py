@@ -34,7 +34,6 @@ from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction
 from ringwear_par.results.result import Result
 from ringwear_par.studies.many import results_of
-from ringwear_par.studies.variations import is_whole
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
@@ -87,7 +86,7 @@ def predict(
 
     def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
         for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
-            if not is_whole(number) or number < least:
+            if not isinstance(number, int) or number < least:
                 raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
         known, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
         whole = case if isinstance(case, Case) else read_case(case)

@@ -236,7 +236,7 @@ def computed(
             pair = [following.pair] if following else [pairs[keys[n]] for n in numbers]
             recorder = Recorder(chosen, comm, results=results, pair_is_shared=not following)
             block = Block.of(chosen, pair, _some(step_times, numbers), _some(paces, numbers))
-            failures = simulate(block, recorder, following=following)
+            failures = simulate(block, recorder, following=following, comm=comm)
         except InputError:
             raise
         except Exception as error:  # the same for all of them

@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, RingwearError, counted
-from ringwear_par.files.folders import check_folder
+from ringwear_par.files.folders import check_folder, refuse_others
 from ringwear_par.parallel import on_first_rank, peak_memory, together, warn_of_threads
 from ringwear_par.results.files import reading
 from ringwear_par.results.progress import Progress, duration
@@ -130,6 +130,7 @@ def _prepared(
                 f"--ranks-per-case {ranks_per_case}: {comm.size} ranks do not divide into teams "
                 f"of {ranks_per_case}; must be one of {sizes}"
             )
+        refuse_others(folder, "sweep")
         study = source if isinstance(source, Study) else read_study(source, ranks_per_case)
         blocks, results = blocks_of(study, folder), folder / RESULTS
         merged = is_merged(folder, blocks)

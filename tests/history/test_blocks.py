@@ -123,7 +123,11 @@ def test_cases_of_other_pairs_have_their_own_slopes_layers_and_ends(name):
     parts, errors = computed(cases, {}, results=True)
     assert not errors
     assert len(parts) == (1 if name == "heights" else 2)
-    found = {number: result for part in parts for number, result in part.results().items()}
+    found = {
+        number: result
+        for part in parts
+        for number, result in zip(part.numbers, part.recorder.results(part.failures), strict=True)
+    }
     for number, case in enumerate(cases):
         if name == "open ends" and number == 1:
             assert "reached the end of mesh.contact" in str(found[number])

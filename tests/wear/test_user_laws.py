@@ -181,6 +181,13 @@ class Hardening:
         return self.k * np.exp(-local.wear / self.depth) * local.power * p
 
 
+def test_the_law_that_fails_is_named_beside_one_that_does_not(comm):
+    laws = {"wear_lower": Hardening(1e-9, 1e-3), "wear_upper": Mine(lambda p, local: 1e-11 * p)}
+    case = replace(rw.read_case(PAPER, {"mesh.contact_elements": 12}), **laws)
+    with pytest.raises(rw.ComputationError, match=r"Hardening.*too late"):
+        rw.simulate(case, comm)
+
+
 def test_histories_of_a_block_fail_one_by_one():
     """Their numbers are NaN, with a reason; the others are as those of running in."""
     law, n = Law.of(Hardening(9e-7, 1e-6)), 3
