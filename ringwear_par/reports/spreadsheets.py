@@ -20,7 +20,6 @@ from ringwear_par.studies.ensemble import (
     RESULTS,
     Ensemble,
     end_value_of,
-    meaning_of,
     read_ensemble,
 )
 from ringwear_par.studies.variations import own_key
@@ -72,16 +71,12 @@ def sweep_sheets(ensemble: Ensemble) -> list[Table]:
     """Return the cases of a sweep, the meanings of their columns, and all histories."""
     columns: dict[str, tuple[str, str, Any]] = {"case": ("", "id of the case", ensemble.ids)}
     for name, values in ensemble.varied.items():
-        numbers = (
-            values
-            if values.dtype.kind == "f"
-            else [value.decode() if isinstance(value, bytes) else str(value) for value in values]
-        )
-        columns[name] = ensemble.units[name], own_key(name).meaning, numbers
+        columns[name] = ensemble.units[name], own_key(name).meaning, values
     columns["status"] = "", "done or failed", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():
-        columns[name] = end_value_of(name)[1].unit, meaning_of(name), values
+        variable = end_value_of(name)[1]
+        columns[name] = variable.unit, variable.meaning, values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
     flags = ensemble.flags
     columns["flags"] = "", "what makes the answer doubtful or ended the case early", flags

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,14 +11,13 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
-from ringwear_par.studies.ensemble import Ensemble, count_flags, meaning_of, read_ensemble
+from ringwear_par.studies.ensemble import Ensemble, count_flags, end_value_of, read_ensemble
 from ringwear_par.studies.pictures import (
     Choice,
     choose,
     display_of,
     effects,
     figure_columns,
-    final_name,
     histories,
     index_panels,
     raw_words,
@@ -56,29 +54,26 @@ def sweep_page(folder: Path) -> page.Page:
 
 
 def _summary(ensemble: Ensemble) -> list[page.Block]:
-    cases = np.arange(len(ensemble.ids))
-    status = Counter(ensemble.status[i] for i in cases)
+    total, status = len(ensemble.ids), Counter(ensemble.status)
     doubts = [count_flags(ensemble.flags)] if any(ensemble.flags) else []
     if status["failed"]:
-        doubts.append(
-            f"{status['failed']} of {len(cases)} cases failed; the table of cases has why"
-        )
+        doubts.append(f"{status['failed']} of {total} cases failed; the table of cases has why")
     counts = ", ".join(f"{number} {word}" for word, number in status.most_common())
     method = ensemble.attributes["method"]
-    lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
+    lines = [f"{total} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
     done = ensemble.done
-    blocks: list[page.Block] = [_tiles(ensemble, done, len(cases), len(doubts))]
+    blocks: list[page.Block] = [_tiles(ensemble, done, total, len(doubts))]
     if doubts:
         blocks.append(page.Lines(doubts, warning=True))
-    ranges, fixed = _ranges(ensemble, cases)
+    ranges, fixed = _ranges(ensemble)
     if fixed:
         lines.append(f"the same in all cases: {', '.join(fixed)}")
     blocks += [page.Lines(lines), ranges]
     if done.any():
         rows = [
             (
-                meaning_of(name).replace(", at the last stored step", ""),
+                end_value_of(name)[1].meaning.replace(", at the last stored step", ""),
                 in_signs(display_of(name).unit),
                 *map(_number, display_of(name).factor * _quantiles(values[done])),
             )
@@ -110,12 +105,12 @@ def _tiles(ensemble: Ensemble, done: BoolArray, total: int, doubts: int) -> page
     return page.Tiles([*tiles, page.checks_tile(doubts)])
 
 
-def _ranges(ensemble: Ensemble, cases: Any) -> tuple[page.Table, list[str]]:
+def _ranges(ensemble: Ensemble) -> tuple[page.Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
-    for name, column in ensemble.varied.items():
-        values, meaning, unit = column[cases], own_key(name).meaning, ensemble.units[name]
-        if column.dtype.kind == "f":
+    for name, values in ensemble.varied.items():
+        meaning, unit = own_key(name).meaning, ensemble.units[name]
+        if values.dtype.kind == "f":
             known = values[np.isfinite(values)]
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
             count = len(np.unique(known))
@@ -169,7 +164,7 @@ def _index_tables(choice: Choice) -> list[page.Table]:
             for key, first, total in zip(choice.surrogate.ranges, *indices, strict=True)
         ]
         header = ("key", "first order: by the key alone", "total: with all others")
-        caption = f"Sobol' indices of the {final_name(output)}, from the surrogate"
+        caption = f"Sobol' indices of the final {display_of(output).name}, from the surrogate"
         tables.append(page.Table(caption, header, rows))
     return tables
 
@@ -177,21 +172,17 @@ def _index_tables(choice: Choice) -> list[page.Table]:
 def _cases(ensemble: Ensemble) -> page.Table:
     """Return the table of all cases, or of the worst of many, failed ones with why."""
     total = len(ensemble.ids)
-    worst = worst_cases(ensemble, np.arange(total))[:_MOST]
+    worst = worst_cases(ensemble)[:_MOST]
     caption = f"{total} cases" if total <= _MOST else f"The {_MOST} worst of {total} cases"
     caption += ": those that failed, then those with most warnings, then by penetration"
     return _case_table(ensemble, worst, f"{caption}; cases.csv has all")
 
 
-def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
-    """Return cases, (n,) numbers, the worst first: see the caption of their table."""
-    depths = np.nan_to_num(ensemble.final["penetration"][cases]).tolist()
-    counts = [len(flags.split(", ")) if flags else 0 for flags in ensemble.flags]
-    order = [
-        (ensemble.status[i] == "done", -counts[i], -depth)
-        for i, depth in zip(cases.tolist(), depths, strict=True)
-    ]
-    return cases[sorted(range(len(cases)), key=order.__getitem__)]
+def worst_cases(ensemble: Ensemble) -> IntArray:
+    """Return the numbers of cases, (cases,), the worst first: see the caption of their table."""
+    depths = np.nan_to_num(ensemble.final["penetration"])
+    counts = np.array([len(flags.split(", ")) if flags else 0 for flags in ensemble.flags])
+    return np.lexsort((-depths, -counts, ensemble.done))
 
 
 def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:

@@ -55,14 +55,13 @@ class UnreadableError(InputError):
 
 
 @contextmanager
-def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5py.File]:
+def reading(path: Path, software: str, kind: str) -> Iterator[h5py.File]:
     """Yield a file of this software to read; any error meanwhile means that it is not one.
 
     Parameters
     ----------
     software : attribute of such files.
     kind : "a result file of ringwear", as messages call them.
-    must : how these end.
 
     Raises
     ------
@@ -81,7 +80,7 @@ def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5
     except Exception as error:  # h5py has no errors of its own: any may come
         if isinstance(error, OSError) and error.errno:  # somebody writes to it, a disk is away
             raise UnreadableError(f"{path}: cannot be read: {os.strerror(error.errno)}") from error
-        raise InputError(f"{path}: is not {kind}, or is damaged{must}") from error
+        raise InputError(f"{path}: is not {kind}, or is damaged") from error
 
 
 @contextmanager

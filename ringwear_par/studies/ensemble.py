@@ -54,11 +54,6 @@ STORED = {
 BODY = "body"
 
 
-def has_layers(variable: Variable) -> bool:
-    """Tell whether a variable runs over layers; the last number is of the body itself."""
-    return any(axis.startswith("layer") for axis in variable.dimensions)
-
-
 # -- end values ------------------------------------------------------------------------------------
 
 #: end values that all cases have
@@ -126,7 +121,8 @@ def end_value_of(name: str) -> tuple[str, Variable, str]:
     if not entry:
         return column, variable, ""
     axis = variable.dimensions[-1].removesuffix("_upper")
-    return column, variable, "the body itself" if entry == BODY else f"{axis} {entry}"
+    words = "the body itself" if entry == BODY else f"{axis} {entry}"
+    return column, replace(variable, meaning=f"{variable.meaning}; {words}"), words
 
 
 def columns_of(name: str, values: FloatArray) -> dict[str, FloatArray]:
@@ -135,15 +131,9 @@ def columns_of(name: str, values: FloatArray) -> dict[str, FloatArray]:
     if len(variable.dimensions) < 2:
         return {name: values}
     entries: list[Any] = [*range(values.shape[-1])]
-    if has_layers(variable):
+    if variable.dimensions[-1].startswith("layer"):
         entries[-1] = BODY
     return {f"{name}[{entry}]": values[..., i] for i, entry in enumerate(entries)}
-
-
-def meaning_of(name: str) -> str:
-    """Return what a column of the table is."""
-    _, variable, entry = end_value_of(name)
-    return f"{variable.meaning}; {entry}" if entry else variable.meaning
 
 
 def is_smooth(name: str) -> bool:
@@ -196,11 +186,6 @@ class Ensemble:
 def read_ensemble(folder: Path) -> Ensemble:
     """Read a sweep's results, by its folder or results.h5; InputError for none. Not collective."""
     path = folder if folder.name == RESULTS and folder.is_file() else folder / RESULTS
-    if not path.exists():
-        raise InputError(
-            f"{path}: does not exist; must be written by ringwear sweep, which goes on where it "
-            "was interrupted"
-        )
     with reading(path, SOFTWARE, FILE_KIND) as file:
         ids, status, error, flags = (
             tuple(file[name].asstr()[:]) for name in ("case", "status", "error", "flags")

@@ -180,8 +180,8 @@ def index_panels(choice: Choice) -> dict[str, Panel]:
         categories = tuple(map(quantity_name, choice.surrogate.ranges))
         x = Axis("Sobol' index", ends=(0.0, 1.05))
         y = Axis("", categories=categories, reversed=True)
-        title = f"Sobol' indices of the {final_name(output)}"
-        panels[output] = Panel(x, y, title, bars=bars, legend=final_name(output))
+        name = f"final {display_of(output).name}"
+        panels[output] = Panel(x, y, f"Sobol' indices of the {name}", bars=bars, legend=name)
     return panels
 
 
@@ -281,11 +281,6 @@ def display_of(name: str) -> Display:
     unit, factor = _UNITS.get(words, (variable.unit, 1.0))
     parts = [_WORDS.get(words, words.replace("_", " ")), body, entry]
     return Display(factor, ", ".join(filter(None, parts)), in_signs(unit))
-
-
-def final_name(name: str) -> str:
-    """Return the name of a number in sentences."""
-    return f"final {display_of(name).name}"
 
 
 def figure_columns(final: Mapping[str, Any], cases: IntArray) -> list[str]:

@@ -41,7 +41,6 @@ log = logging.getLogger(__name__)
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 #: bytes that results may take beside their blocks
 _MORE_BYTES = 1e6
-_STATE = Variable("step", ("step",), "1", "stored state of each case", integer=True)
 
 #: shape without the axis of cases, and type, of each array
 Layout = dict[str, tuple[tuple[int, ...], "np.dtype[Any]"]]
@@ -129,7 +128,7 @@ def _layout(tables: Iterable[Mapping[str, Any]]) -> Layout:
 def _put(whole: Any, at: Any, values: Any, name: str) -> None:
     """Write the values of some cases into an array with space for more states or elements."""
     cells = tuple(map(slice, values.shape[1:]))
-    if ensemble.has_layers(VARIABLES[name]):  # the body itself is the last
+    if VARIABLES[name].dimensions[-1].startswith("layer"):  # the body itself is the last
         whole[(at, *cells[:-1], -1)] = values[..., -1]
         values, cells = values[..., :-1], (*cells[:-1], slice(values.shape[-1] - 1))
     if values.size:
@@ -144,8 +143,7 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
     OSError : the disk.
     """
     with atomic_hdf5(block.path) as file:
-        failed = int((arrays["status"] == b"failed").sum())
-        file.attrs.update(software=SOFTWARE, version=__version__, failed=failed)
+        file.attrs.update(software=SOFTWARE, version=__version__)
         for name, values in arrays.items():
             file.create_dataset(name, data=values, **_PACKED)
 
@@ -176,8 +174,7 @@ def is_merged(folder: Path, blocks: Sequence[Block]) -> bool:
     """Tell whether the results of these blocks are in a folder; InputError for others' files."""
     if not (folder / RESULTS).exists():
         return False
-    must = "; must be removed, or a new folder"
-    with reading(folder / RESULTS, SOFTWARE, FILE_KIND, must) as file:
+    with reading(folder / RESULTS, SOFTWARE, FILE_KIND) as file:
         return bool(file.attrs.get("blocks") == fingerprint(blocks))
 
 
@@ -258,7 +255,8 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
             data.attrs.update(zip(("spacing", "low", "high"), study.ranges[name], strict=True))
     for axis, size in sizes.items():
         file.create_dataset(axis, data=np.arange(size)).make_scale(axis)
-        file[axis].attrs.update((_STATE if axis == "step" else axis_of(axis)).attributes)
+        file[axis].attrs.update(axis_of(axis).attributes)
+    file["step"].attrs["long_name"] = "stored state of each case"
     file["case"].make_scale("case")
     for name, variable in variables.items():
         for i, axis in enumerate(variable.dimensions):

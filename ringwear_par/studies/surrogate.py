@@ -317,8 +317,7 @@ def surrogate(
             'pip install "ringwear-par[surrogate]"'
         )
     ensemble = folder if isinstance(folder, Ensemble) else read_ensemble(Path(folder))
-    factors, points, cases = _cases(ensemble)
-    numbers = points[:, : sum(not factor.texts for factor in factors)]
+    factors, points, numbers, cases = _cases(ensemble)
     columns = [np.arange(len(cases), dtype=float)]  # whose values are single cases
     columns += [c for c in np.round(numbers, _DIGITS).T if 2 < len(np.unique(c)) <= 0.5 * len(c)]
     final = ensemble.final
@@ -340,8 +339,8 @@ def surrogate(
     return made
 
 
-def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray]:
-    """Return what varies, numbers first, the points of the cases to be interpolated, the cases."""
+def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, FloatArray, IntArray]:
+    """Return what varies, numbers first; of cases to be interpolated points, numbers, indices."""
     cases = chosen_cases(np.flatnonzero(ensemble.done), _MOST)
     differing = [f for f in factors_of(ensemble, cases) if f.differs] if len(cases) else []
     factors = sorted(differing, key=lambda factor: bool(factor.texts))
@@ -358,4 +357,4 @@ def _cases(ensemble: Ensemble) -> tuple[tuple[Factor, ...], FloatArray, IntArray
             f"surrogate needs {needed} cases at least, and a key that is a number, no two of which "
             "vary together"
         )
-    return tuple(factors), points, cases
+    return tuple(factors), points, numbers, cases

@@ -125,10 +125,8 @@ def _prepared(
 
     def read() -> tuple[Study, list[Block]]:
         if ranks_per_case < 1 or comm.size % ranks_per_case:
-            sizes = ", ".join(str(d) for d in range(1, comm.size + 1) if comm.size % d == 0)
             raise InputError(
-                f"--ranks-per-case {ranks_per_case}: {comm.size} ranks do not divide into teams "
-                f"of {ranks_per_case}; must be one of {sizes}"
+                f"--ranks-per-case {ranks_per_case}: must divide the {comm.size} ranks into teams"
             )
         refuse_others(folder, "sweep")
         study = source if isinstance(source, Study) else read_study(source, ranks_per_case)
@@ -153,7 +151,7 @@ def _prepared(
 def _has_failed(block: Block) -> bool:
     """Tell whether a block is there, and some of its cases have failed. On one rank."""
     with suppress(InputError), reading(block.path, SOFTWARE, FILE_KIND) as file:
-        return bool(file.attrs["failed"])
+        return bool((file["status"][:] == b"failed").any())
     return False
 
 

@@ -17,7 +17,7 @@ from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, source_tables
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
-from ringwear_par.cases.tables import Key, TableReader, keys_of_table
+from ringwear_par.cases.tables import Key, TableReader, keys_of_table, name_unknown_keys
 from ringwear_par.cases.values import (
     RejectedError,
     anything,
@@ -132,8 +132,7 @@ def name_fault(place: str, name: str, loc: str) -> Fault | None:
     if key is None:
         reason = unknown_key(name if path in LAYERS else path)
     elif name == "title":
-        sentence = f"{place}: a title makes no other case; must be another key"
-        return Fault(sentence, loc, "not_allowed")
+        reason = "a title makes no other case; must be another key"
     elif index in ("file", "trace") or (isinstance(index, int) and key.kind != "pair"):
         reason = f"{path} has no such entries; must be the key itself"
     else:
@@ -147,10 +146,11 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
     value = case_keys.get(path, BY_PATH[path].default if path in BY_PATH else None)
     if index is None:
         return None if value is ... else value
-    if isinstance(index, str):
-        table = entries_of(value) if path in LAYERS else value
-        return table.get(index) if isinstance(table, dict) else None
-    return value[index] if isinstance(value, list | tuple) and len(value) > index else None
+    if path in LAYERS:
+        value = entries_of(value)
+    elif isinstance(value, list | tuple):
+        value = dict(enumerate(value))
+    return value.get(index) if isinstance(value, dict) else None
 
 
 def unnested(table: Mapping[str, Any], names: Set[str]) -> dict[str, Any]:
@@ -257,11 +257,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> dict[str, Any]:
     name, folder, tables, text = source_tables(source, "study")
     if kinds(tables) == {"case"}:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
-    no = "unknown key; must be one of case, vary, design"
-    faults: list[str] = [
-        Fault(f"{name}: {legible(key)}: {no}", key, "unknown_key")
-        for key in tables.keys() - {"case", "vary", "design"}
-    ]
+    faults: list[str] = []
+    name_unknown_keys(name, tables, ["case", "vary", "design"], faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
     vary, table = tables.get("vary", {}), tables.get("design", {})
     for key, value in (("vary", vary), ("design", table)):
@@ -278,12 +275,9 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> dict[str, Any]:
         columns = _drawn(name, variations, **design)
     for key, column in columns.items():  # what sweeps do not store, or must store alike of all
         differ = key == "output.profiles" and len(set(map(str, column))) > 1
-        if differ or key.startswith("stress."):
+        if differ or key.startswith(("stress.", "output.boundary")):
             sentence = f"{name}: {key}: must not vary; must be the same in all cases"
             raise InputError(Fault(sentence, key, "not_allowed"))
-        if key == "output.boundary":
-            sentence = f"{name}: {key}: must not vary; only ringwear run stores whole boundaries"
-            raise InputError(Fault(sentence, key, "conflict"))
     base.pop("output.boundary", None)
     ranges = {v.name: (v.spacing, *v.values) for v in variations if v.spacing != "values"}
     return {
