@@ -78,14 +78,12 @@ class Worst:
             value, *place = values if isinstance(values, tuple) else (values,)
             self.take(name, block.number, value, state.time, *place)
 
-    def take(self, name: str, number: IntArray, value: Any, *place: FloatArray) -> None:
+    def take(self, name: str, number: IntArray, value: FloatArray, *place: FloatArray) -> None:
         """Take values of a measure of histories of these numbers, with times and places."""
-        measure, value = self.measures[name], np.broadcast_to(value, len(number))
+        measure = self.measures[name]
         # by more than round-off, which would choose the time of what is constant; NaN too
         worse = ~(value <= measure[0, number] * (1.0 + _ROUND_OFF))
-        if worse.any():
-            for entry, column in enumerate((value, *place)):
-                measure[entry, number[worse]] = column[worse]
+        measure[: 1 + len(place), number[worse]] = np.array([value, *place])[:, worse]
 
     def balances(self, number: int) -> dict[str, float]:
         """Return the worst balances of one history."""
@@ -98,11 +96,10 @@ class Worst:
 
 
 def balances(instant: Instant) -> dict[str, Any]:
-    """Return the defects of states, see ``BALANCES``, (B,) each or 0."""
+    """Return the defects of states, see ``BALANCES``, (B,) each."""
     block, state = instant.block, instant.state
     p, line, pair = state.pressure, block.line, block.compliance.pair
-    force = p @ line.area
-    friction = block.moment(p)
+    force, friction = p @ line.area, block.moment(p)
     elements = line.pairs[0].line
     turning = elements.arm / elements.uniform_arm  # tractions are constant on elements
     carried = np.empty((4, len(p)))
@@ -115,21 +112,21 @@ def balances(instant: Instant) -> dict[str, Any]:
         "force": _defect(force, asked),
         "torque": np.maximum(_defect(turned_lower, friction), _defect(turned_upper, friction)),
         "reaction": np.maximum(_defect(lower, force), _defect(upper, force)),
-        "energy": _energy_defect(block, state) if block.paces is None else 0.0,
+        "energy": _energy_defect(block, state),
         "residual": block.compliance.residual(instant.gap, p),
         "step_error": state.error,
     }
 
 
-def _energy_defect(block: Block, state: State) -> Any:
+def _energy_defect(block: Block, state: State) -> FloatArray:
     """Return how far the energy is off what the worn volumes took of it, (B,).
 
-    0 where a law has no fixed volume by energy.
+    0 where a law has no fixed volume by energy, and at paces of its own.
     """
-    defect: Any = 0.0
+    defect = np.zeros_like(state.energy)
     for body, wear in zip(block.wearing, state.wear, strict=True):
         ratios = body.per_energy
-        known = (ratios > 0.0).all(axis=1)
+        known = (ratios > 0.0).all(axis=1) & (block.paces is None)
         if known.any():
             took = layer_volumes(block.line.area, body.ends, wear)
             took = np.divide(took, ratios, out=np.zeros_like(took), where=ratios > 0.0).sum(axis=1)

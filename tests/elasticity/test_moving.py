@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import ThresholdLaw, bodies
+from parts import ThresholdLaw, UpdatedGeometry, bodies
 from paths import CASES
 from reference_cases import paper_case
-from tracing import updated_geometry
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import compliance
@@ -19,7 +18,7 @@ from ringwear_par.elasticity.mesh import Mesh, contact_line, pair_slope
 def test_an_update_is_a_fresh_assembly(name, comm):
     """Whatever updates came before, to the last bit."""
     case = rw.read_case(CASES / f"{name}.toml", ["mesh.contact_elements=32"])
-    geometry, n = updated_geometry(case, comm), case.line.n
+    geometry, n = UpdatedGeometry(bodies(case), case.line, case.mesh, comm), case.line.n
     unworn, exact = geometry.update(np.zeros((2, n))), rw.assemble(case, comm)
     assert unworn.key == exact.key
     assert np.array_equal(unworn.normal, exact.normal)
@@ -40,7 +39,8 @@ def test_an_update_is_a_fresh_assembly(name, comm):
 
 
 def test_a_body_that_does_not_wear_is_assembled_once(comm):
-    geometry, ones = updated_geometry(paper_case(Mesh(16)), comm), np.ones(16)
+    case, ones = paper_case(Mesh(16)), np.ones(16)
+    geometry = UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
     first, again = (geometry.update(np.outer([depth, 0.0], ones)) for depth in (0.1, 0.2))
     assert np.array_equal(first.normal[1], again.normal[1])
     assert not np.array_equal(first.normal[0], again.normal[0])
@@ -50,7 +50,7 @@ def test_uniform_wear_is_a_lower_ring(comm):
     """Worn all over by h, the upper ring is one that is h shorter."""
     case, h = paper_case(Mesh(48)), 0.5
     worn = np.outer([0.0, h], np.ones(case.line.n))
-    pair = updated_geometry(case, comm).update(worn)
+    pair = UpdatedGeometry(bodies(case), case.line, case.mesh, comm).update(worn)
     shorter = replace(case, upper=replace(case.upper, z=(20.0, 40.0 - h)))
     exact = rw.assemble(shorter, comm)
     softer = np.abs(exact.normal[1] - rw.assemble(case, comm).normal[1]).max()
@@ -73,6 +73,6 @@ def test_wear_at_the_nodes():
 
 def test_wear_through_half_a_body_is_an_error(comm):
     case = replace(paper_case(Mesh(16)), wear_lower=ThresholdLaw(1e-7))
-    moving = updated_geometry(case, comm)
+    moving = UpdatedGeometry(bodies(case), case.line, case.mesh, comm)
     with pytest.raises(rw.ComputationError, match="half of the height"):
         moving.update(np.full((2, 16), 10.5))

@@ -26,6 +26,7 @@ PLACES = {
     "contact.tao": "TaoContact",
     "elasticity.bem.body": "compliance",
     "elasticity.bem.boundary": "node_wear",
+    "elasticity.bem.pair": "UpdatedGeometry",
     "elasticity.mesh": "ContactLine Mesh case_slopes common_slope",
     "elasticity.sections": "Material",
     "elasticity.stress.fields": "COMPONENTS SIDES max_shear mises principal",

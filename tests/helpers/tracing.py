@@ -3,13 +3,11 @@
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
-import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.elasticity.bem.pair import UpdatedGeometry
 from ringwear_par.history.block import Block
 from ringwear_par.history.checks import Worst
-from ringwear_par.history.elastic import assemble, bodies
+from ringwear_par.history.elastic import assemble
 from ringwear_par.history.following import Following
 from ringwear_par.history.loop import first_contact as of_block
 from ringwear_par.history.loop import simulate
@@ -115,11 +113,5 @@ def first_contact(case, comm=ALONE):
     """Return the contact of a case before any wear, by TAO, with its force (N)."""
     contact = of_block(case, comm)
     p = contact.pressure[0]
-    assert np.isfinite(p).all()
     return SimpleNamespace(pressure=p, approach=float(contact.approach[0]),
                            force=float(case.line.area @ p))  # fmt: skip
-
-
-def updated_geometry(case, comm):
-    """Return the elasticity of a case whose elements follow the wear."""
-    return UpdatedGeometry(bodies(case), case.line, case.mesh, comm)

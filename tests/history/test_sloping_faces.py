@@ -19,9 +19,10 @@ from parts import (
 )
 from paths import CASES, PAPER
 from reference_cases import CONTACT, Rings, ring_case
-from tracing import ALONE, trace, updated_geometry
+from tracing import ALONE, trace
 
 import ringwear_par as rw
+from ringwear_par.elasticity.bem.pair import UpdatedGeometry
 from ringwear_par.history.block import Block
 from ringwear_par.history.elastic import assemble, bodies
 
@@ -161,7 +162,7 @@ def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cut
 def test_a_body_that_does_not_wear_is_solved_again_when_the_slope_turns(cutting, comm):
     """And not otherwise; what it gives way is that of a fresh assembly with that slope."""
     case = cutting.block.cases.every[0]
-    moving, n = updated_geometry(case, comm), case.line.n
+    moving, n = UpdatedGeometry(bodies(case), case.line, case.mesh, comm), case.line.n
     pairs = [moving.update(np.zeros((2, n)))]
     assert not pairs[0].slope.any()
     worn = cutting.last.meshed
