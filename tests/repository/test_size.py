@@ -16,20 +16,20 @@ ROOMS = {
     "elasticity": 3072,
     "contact compiled": 681,
     "wear": 593,
-    "history": 1798,
+    "history": 1698,
     "cases schedules.py errors.py": 5517,
     "files": 1225,
     "measuring": 2509,
-    "results": 2620,
-    "studies": 2830,
-    "identification": 6957,
-    "prediction monitoring": 1288,
-    "pictures reports explorer functions": 4984,
-    "verify.py cli.py commands.py info.py __init__.py __main__.py version.py": 775,
+    "results": 2617,
+    "studies": 2593,
+    "identification": 6975,
+    "prediction monitoring": 1292,
+    "pictures reports explorer functions": 5120,
+    "verify.py cli.py commands.py info.py __init__.py __main__.py version.py": 776,
     "parallel.py petsc.py arrays.py batched.py options.py": 263,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 35235, "tests": 16368, "scripts slurm": 933, "docs": 1087}
+FOLDERS = {"ringwear_par": 34931, "tests": 16445, "scripts slurm": 933, "docs": 1087}
 
 
 def sizes(folder):
