@@ -29,7 +29,7 @@ ROOMS = {
     "parallel.py petsc.py arrays.py batched.py options.py": 263,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 34931, "tests": 16445, "scripts slurm": 933, "docs": 1087}
+FOLDERS = {"ringwear_par": 34931, "tests": 16446, "scripts slurm": 933, "docs": 1087}
 
 
 def sizes(folder):
