@@ -73,6 +73,8 @@ def simulate_all(
     """
     if batch is not None and not (isinstance(batch, int) and batch >= 1):
         raise InputError(f"batch = {batch!r}: must be a whole number >= 1")
+    if isinstance(cases, Case):
+        raise InputError("simulate_all: a list of cases is needed; simulate takes one case")
     cases = list(cases)
     for number, case in enumerate(cases):
         need_case(case, f"simulate_all: cases[{number}]")

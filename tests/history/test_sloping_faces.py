@@ -12,6 +12,7 @@ from parts import (
     RunningInLaw,
     Stepping,
     ThresholdLaw,
+    UpdatedGeometry,
     case_slopes,
     common_slope,
     compliance,
@@ -22,7 +23,6 @@ from reference_cases import CONTACT, Rings, ring_case
 from tracing import ALONE, trace
 
 import ringwear_par as rw
-from ringwear_par.elasticity.bem.pair import UpdatedGeometry
 from ringwear_par.history.block import Block
 from ringwear_par.history.elastic import assemble, bodies
 
