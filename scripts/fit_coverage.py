@@ -125,8 +125,8 @@ class Laboratory:
         problem = fits.Problem("", "", settings, parameters, tuple(own), {}, {}, design)
         tests = []
         for test in own:
-            times = np.concatenate([np.broadcast_to(s.at or s.x, s.n) for s in test.series])
-            tests.append(replace(test, series=(*test.series, series("volume.lower", times, 0.1))))
+            volume = series("volume.lower", test.times, 0.1)
+            tests.append(replace(test, series=(*test.series, volume)))
         self.problem, (low, high) = problem, problem.unknown_bounds
         self.box = Box(low, high, 0.5 * (low + high), np.diag(0.5 * (high - low)))
         x, self.emulators = self.box.design(HISTORIES), {}
@@ -164,13 +164,13 @@ class Laboratory:
             read = []
             for s in test.series:
                 values, y = y[: s.n], y[s.n :]
-                columns = nuisance_columns(s, test.case, max(random.normal(*TIME), 100.0)).T
-                for nuisance, column in zip(s.linear_nuisances, columns, strict=True):
-                    mean, sd = nuisance.prior or (0.0, FREE)
-                    size, grown = mean + sd * random.standard_normal(), nuisance is WARM
-                    values = (
-                        values + (-2.0 * FREE * np.exp(0.3 * size / sd) if grown else size) * column
-                    )
+                for place, nuisance in enumerate(s.linear_nuisances):
+                    warm, (mean, sd) = nuisance is WARM, nuisance.prior or (0.0, FREE)
+                    times = np.array([max(random.normal(*TIME), 100.0) if warm else 1.0])
+                    column = nuisance_columns(s, test.case, times)[0, :, place]
+                    z = random.standard_normal()
+                    size = -2.0 * FREE * np.exp(0.3 * z) if warm else mean + sd * z
+                    values = values + size * column
                 read.append(replace(s, value=values + s.sd * random.standard_normal(s.n)))
             tests.append(replace(test, series=tuple(read)))
         self.problem = replace(self.problem, experiments=tuple(tests))
@@ -198,9 +198,9 @@ def one_set(lab: Laboratory, seed: int) -> dict[str, Score]:
     for j, p in enumerate(lab.keys):
         name = f"{p.key.rpartition('.')[2]} ({'%' if p.log else 'MPa'})"
         scores[name] = holds(material[:, j], truth[j], low[j], high[j])
-    for place, _ in found.posterior.sizes:
+    for size in found.posterior.sizes:
         name = "scatter (%)" if lab.tau else "share (%)"
-        scores[name] = holds(found.theta[:, place], float(np.log(lab.tau or lab.share)))
+        scores[name] = holds(found.theta[:, size.place], float(np.log(lab.tau or lab.share)))
     for s in found.posterior.scatterings:
         draws = material[:, 0] + s.spread(found.theta) * random.standard_normal(len(material))
         scores["next specimen (%)"] = holds(draws, truth[0] + lab.tau * random.standard_normal())
