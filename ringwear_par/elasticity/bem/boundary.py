@@ -244,7 +244,7 @@ def _closed(contour: Sequence[tuple[FloatArray, list[str]]]) -> BoundaryMesh:
 def node_wear(line: ContactLine, worn: FloatArray) -> FloatArray:
     """Return (n+1,) mm, the wear at the line's nodes from (n,) that of its elements.
 
-    Linear between the gap points; at the ends extrapolated, but not below the last element's own.
+    Linear between the mid-points; at the ends extrapolated, but not below the last element's own.
     """
     x, r = line.r, line.edges
     nodes = np.interp(r, x, worn)

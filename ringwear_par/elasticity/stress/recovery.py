@@ -58,8 +58,8 @@ class BoundaryRecovery:
     ) -> None:
         self._bodies, self.line, self._mesh, self._planes = bodies, line, mesh, planes
         self.comm, self._fine = comm, fine
-        # the wear that elements have followed last, and the responses of lower and upper
-        self._shape, self._responses = np.empty(0), list[list[BoundaryResponse]]()
+        # of each body the wear and the slope that its responses are of
+        self._known: dict[int, tuple[FloatArray, list[BoundaryResponse]]] = {}
 
     def responses(self, shape: FloatArray | None) -> list[list[BoundaryResponse]]:
         """Return the responses of the zones of lower and upper, in the frame of the case.
@@ -76,18 +76,17 @@ class BoundaryRecovery:
         """
         line, mesh, (lower, upper) = self.line, self._mesh, self._bodies
         shape = np.zeros((2, line.n)) if shape is None else shape
-        if np.array_equal(shape, self._shape):  # the same on all ranks
-            return self._responses
-        self._shape, self._responses = np.empty(0), []  # not two at a time
         slope = pair_slope((lower.section, upper.section), line, mesh, shape)
-        responses = []
         for i, (body, own) in enumerate(zip(self._bodies, (slope, -slope), strict=True)):
+            at = np.stack([own, shape[i]])  # the same on all ranks
+            if i in self._known and np.array_equal(self._known[i][0], at):
+                continue
+            self._known.pop(i, None)  # not two at a time
             worn = node_wear(line, shape[i])
             zones = body_zones(body, line, mesh, worn, own, fine=self._fine)
             found, _ = solve_zones(zones, mesh.quadrature_tolerance, self.comm)
-            responses.append([in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found])
-        self._shape, self._responses = shape.copy(), responses
-        return responses
+            self._known[i] = at, [in_case_frame(zone, BODIES[i], self._planes[i]) for zone in found]
+        return [self._known[i][1] for i in range(2)]
 
     def interfaces(self) -> list[tuple[FloatArray, FloatArray]]:
         """Return where the interfaces of lower and upper are. Not collective.
@@ -255,7 +254,7 @@ class StressRecovery:
     ) -> None:
         self._boundaries, self._points, self._exclude = boundaries, points, exclude
         self._line, self._comm = boundaries.line, boundaries.comm
-        self._responses, self._units = list[list[BoundaryResponse]](), list[_UnitStress]()
+        self._shape, self._units = np.empty(0), list[_UnitStress]()
 
     def stresses(
         self,
@@ -278,9 +277,10 @@ class StressRecovery:
         ------
         ComputationError : the wear leaves too little of a body, or a factorisation failed.
         """
-        bodies = self._boundaries.responses(shape)
-        if bodies is not self._responses:
-            self._responses, self._units = bodies, []  # not two at a time
+        shape = np.zeros((2, self._line.n)) if shape is None else shape
+        if not self._units or not np.array_equal(shape, self._shape):
+            self._shape, self._units = shape.copy(), []  # not two at a time
+            bodies = self._boundaries.responses(shape)
             around = np.concatenate([edges([zone.boundary for zone in body]) for body in bodies])
             self._units = [self._integrated(i, body, around) for i, body in enumerate(bodies)]
         lower, upper = (
