@@ -73,7 +73,9 @@ class BlockSolver:
             if stage is None or stage.linear:
                 break
             more = np.flatnonzero(sets > 0)  # of the others, lines were right before
-            rows, some = rows[more], take(some, more)
+            if 0 < len(more) < len(rows):
+                some = take(some, more)
+            rows = rows[more]
         else:
             failed[rows] = True
         if (failed & ~lost).any():

@@ -151,7 +151,9 @@ class TaoContact:
     def _pose(self, row: int, gap: FloatArray, load: float, wear: StepWear | None) -> None:
         """Set the problem, its scales, and this rank's rows of the system without wear."""
         area, e, n = self.compliance.line.area, self._own, len(gap)
-        self._problem = row, gap, load, None if wear is None else take(wear, np.array([row]))
+        if wear is not None and len(self.compliance.pair) > 1:
+            wear = take(wear, np.array([row]))
+        self._problem = row, gap, load, wear
         self._mean = np.full(n, load / area.sum() if self.by_force and load > 0.0 else 1.0)
         slope = self._worn(self._mean)[1]
         own = self.compliance.diagonal[row] + (slope if slope.ndim == 1 else np.diagonal(slope))

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Protocol, Self
@@ -82,7 +82,7 @@ class UserCode:
         functions = _run(self.source, self.called) if self.is_file else self.source
         return getattr(functions, name, default)
 
-    @property
+    @cached_property
     def remembers(self) -> bool:
         """Whether the rate may depend on ``local.wear``: objects say so, files are searched."""
         reads = not self.is_file or re.search(r"\.wear\b|\bd_rate_dwear\b", self.source) is not None
