@@ -253,7 +253,7 @@ class Case:
 
     @cached_property
     def initial_gap(self) -> FloatArray:
-        """(n,) mm, gap at the gap points of the contact line."""
+        """(n,) mm, gap of the unworn faces at the mid-points of the contact elements."""
         return self.gap_at(self.line.r)
 
     @property

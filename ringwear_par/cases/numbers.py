@@ -6,7 +6,7 @@ by their key and, for a parameter of a user's law or of a layer's, its name in t
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from ringwear_par.cases.law import Law, faults_together
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
+from ringwear_par.errors import InputError
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]
@@ -126,6 +127,28 @@ def _refused_by(
         return np.zeros(count, dtype=bool)
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return np.array([bool(faults_together(law.kind, "", {**law.values, **row})) for row in rows])
+
+
+def cases_with(
+    case: Case,
+    numbers: Mapping[Number, FloatArray],
+    text: str,
+    read: Callable[[int], Case | InputError],
+) -> list[Case | InputError]:
+    """Return cases with other numbers and a text: copies, where these are known to be good.
+
+    Parameters
+    ----------
+    case : a good one of them.
+    numbers : of all cases, (cases,).
+    read : returns a case that has to be read and checked, by its place, or why it cannot be.
+    """
+    columns = {number: values.tolist() for number, values in numbers.items()}
+    refused = needs_reading(case, numbers)
+    cases: list[Case | InputError] = [*with_numbers(case, columns, [text] * len(refused))]
+    for place in np.flatnonzero(refused).tolist():
+        cases[place] = read(place)
+    return cases
 
 
 def with_numbers(

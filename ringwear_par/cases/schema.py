@@ -306,6 +306,7 @@ LAYER_KEYS: tuple[Key, ...] = (
     *_wear_keys("wear", "the layer", "wear: wears as the body", LAYER_LAWS),
 )
 _LAYER_ENTRIES = {key.path: key for key in LAYER_KEYS}
+_PAIR = re.compile(r"(.+)\[([01])\]")
 _LAYER = re.compile(r"((?:lower|upper)\.layers)(\[[0-9]{1,3}\])\.(.+)")
 
 #: what figures and pages call quantities, with their symbols, by the last part of their keys;
@@ -332,6 +333,12 @@ _OF_BODY = re.compile(r"(?:wear\.)?(lower|upper)\.(?:layers\[(\d+)\])?")
 UNITS = {key.path: key.unit for key in KEYS}
 BY_PATH = {key.path: key for key in KEYS}
 TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
+
+
+def pair_entry(name: str) -> tuple[str, int] | None:
+    """Return key and which of its two numbers: "upper.r" and 1 of "upper.r[1]"; None of others."""
+    match = _PAIR.fullmatch(name)
+    return None if match is None else (match[1], int(match[2]))
 
 
 def layer_entry(name: str) -> tuple[str, str, str] | None:

@@ -21,12 +21,7 @@ from ringwear_par.errors import InputError, RingwearError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, LAYER_HISTORIES, Variable, layer_names
-from ringwear_par.studies.variations import (
-    name_fault,
-    own_key,
-    value_of,
-    without_units,
-)
+from ringwear_par.studies.variations import name_fault, own_key, value_of, without_units
 
 if TYPE_CHECKING:
     from mpi4py import MPI

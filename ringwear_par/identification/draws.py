@@ -153,11 +153,11 @@ def write_draws(
             "specimens": draws.specimens, "laws": dict(draws.laws),
             "conditions": draws.conditions.tolist(), "effective": draws.effective,
         })  # fmt: skip
-        _write(group, {**by_chain, "test": len(draws.specimens)}, _columns(draws))
+        write_columns(group, {**by_chain, "test": len(draws.specimens)}, _columns(draws))
         for name, array in readings.items():
             axes = {**(by_chain if array.ndim > 1 else {}), "place": array.shape[-1]}
             group = file.create_group(name)
-            _write(group, axes, [("reading", array, "1", name.replace("_", " "))])
+            write_columns(group, axes, [("reading", array, "1", name.replace("_", " "))])
             for place, entries in places.items():
                 meaning = f"{place} of the reading"
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
@@ -178,7 +178,7 @@ def _columns(draws: Draws) -> Iterator[tuple[str, FloatArray, str, str]]:
             yield f"process.wear.{body}", sizes, "mm", "size of the random wear"
 
 
-def _write(
+def write_columns(
     group: h5py.Group,
     axes: Mapping[str, int],
     columns: Iterable[tuple[str, FloatArray, str, str]],

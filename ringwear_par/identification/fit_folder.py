@@ -10,17 +10,16 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
-from ringwear_par.identification.draws import Draws, write_draws
+from ringwear_par.identification.draws import Draws, write_columns, write_draws
 from ringwear_par.identification.fitted_tests import FittedSeries, readings_of_draws
 from ringwear_par.identification.likelihood import EmulatedLikelihood
 from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
-from ringwear_par.results.files import atomic_hdf5, write_variable
-from ringwear_par.results.variables import SOFTWARE, Variable
+from ringwear_par.results.files import atomic_hdf5
+from ringwear_par.results.variables import SOFTWARE
 
 #: most columns of series; inches of readings with their residuals, and of a legend above all
 _COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
@@ -44,7 +43,7 @@ def write_readings(
             group, unit = file.create_group(f"inputs/{number}"), measured.unit
             group.attrs.update(experiment=experiment.name, key=measured.key, unit=unit)
             time, curve = measured.series.x, measured.curve(experiment.case)
-            _put(group, [
+            write_columns(group, {"reading": len(time)}, [
                 ("time", time, "s", "time"),
                 ("data", measured.readings(experiment.case), unit,
                  "reading, in the unit of the key"),
@@ -100,15 +99,7 @@ def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -
     if one.censored.any():
         meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
         columns.append(("censored", one.censored, "1", meaning))
-    _put(group, columns)
-
-
-def _put(group: h5py.Group, columns: Sequence[tuple[str, FloatArray, str, str]]) -> None:
-    """Write name, values, unit and meaning of variables of the readings of a group."""
-    axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
-    write_variable(group, axis, np.arange(len(columns[0][1])))
-    for name, values, unit, meaning in columns:
-        write_variable(group, Variable(name, ("reading",), unit, meaning), values)
+    write_columns(group, {"reading": series.n}, columns)
 
 
 def figure_of_readings(every: Sequence[FittedSeries], level: float) -> Figure:

@@ -10,14 +10,14 @@ import math
 import pickle
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing, suppress
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
+from ringwear_par.cases.numbers import Number, cases_with
 from ringwear_par.cases.smooth_keys import is_elastic
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
@@ -50,6 +50,17 @@ _CLOSE = 1e-7
 _DIFFERENCE = 1e-4
 
 
+class _Block(NamedTuple):
+    """Histories that are computed by all ranks together."""
+
+    #: tests by number, and values of the keys
+    entries: Sequence[Entry]
+    experiments: Sequence[Experiment]
+    #: of a test; and factors on all rates of wear of lower and upper
+    steps: int
+    factors: tuple[float, float]
+
+
 class StoppedError(ComputationError):
     """A fit that a signal asked to stop."""
 
@@ -62,7 +73,7 @@ class Readings:
     """
 
     def __init__(self, problem: Problem, comm: MPI.Intracomm, signals: StopSignals) -> None:
-        self.problem, self._keys = problem, problem.keys
+        self.problem = problem
         self._comm, self._signals = comm, signals
         self._progress: Progress | None = None
         #: number of steps, see ``step_times``
@@ -98,7 +109,7 @@ class Readings:
             else:
                 while (request := comm.bcast(None)) is not None:
                     with suppress(Exception):  # the first rank has it too, and ends the job
-                        self._shared(*request)
+                        self._shared(request)
         with together(comm):
             answer: T = pickle.loads(comm.bcast(content))
         return answer
@@ -132,10 +143,10 @@ class Readings:
         ]
         # equal bodies together, whose operator is then assembled once
         entries = sorted({*itertools.chain(*blocks)}, key=lambda entry: (entry[1], entry[0]))
-        request = entries, problem.experiments, steps or self.steps, factors
+        request = _Block(entries, problem.experiments, steps or self.steps, factors)
         if self._comm.size > 1:
             self._comm.bcast(request)
-        rows = dict(zip(entries, self._shared(*request), strict=True))
+        rows = dict(zip(entries, self._shared(request), strict=True))
         reasons = [row for row in rows.values() if isinstance(row, str)]
         self.count, self.failed = self.count + len(rows), self.failed + len(reasons)
         self.reason = self.reason or next(iter(reasons), "")
@@ -146,36 +157,25 @@ class Readings:
             found.append(np.array(of_block).reshape(len(block), len(none)))
         return found
 
-    def _shared(
-        self,
-        entries: Sequence[Entry],
-        experiments: Sequence[Experiment],
-        steps: int,
-        factors: tuple[float, float],
-    ) -> list[Row]:
+    def _shared(self, block: _Block) -> list[Row]:
         """Return the rows of all ranks on the first one, each of which computes a part. Collective.
 
         Raises an error of any rank on all, StoppedError on the first.
         """
         comm, rows = self._comm, list[Row]()
-        ends = np.linspace(0, len(entries), comm.size + 1).astype(int)
-        mine = entries[ends[comm.rank] : ends[comm.rank + 1]]
+        ends = np.linspace(0, len(block.entries), comm.size + 1).astype(int)
+        mine = block.entries[ends[comm.rank] : ends[comm.rank + 1]]
         with together(comm):
             if mine and not self._signals.received:
-                rows = self._computed(mine, experiments, steps, factors)
+                rows = self._computed(block._replace(entries=mine))
         gathered = comm.gather((rows, self._signals.received)) or []
         if received := max((number for _, number in gathered), default=0):
             raise StoppedError(f"stopped by {name_of(received)}")
         return [row for part, _ in gathered for row in part]
 
-    def _computed(
-        self,
-        entries: Sequence[Entry],
-        experiments: Sequence[Experiment],
-        steps: int,
-        factors: tuple[float, float],
-    ) -> list[Row]:
-        """Return the readings at each (test, values of the keys), by this rank alone."""
+    def _computed(self, block: _Block) -> list[Row]:
+        """Return the readings of a block, by this rank alone."""
+        entries, experiments, steps, factors = block
         owners = np.array([test for test, _ in entries])
         tests = np.unique(owners).tolist()
         grids = {test: step_times(experiments[test], steps) for test in tests}
@@ -183,7 +183,7 @@ class Readings:
         for test in tests:
             numbers = np.flatnonzero(owners == test).tolist()
             points = np.array([entries[i][1] for i in numbers])
-            found = cases_at(experiments[test].case, self._keys, points)
+            found = cases_at(experiments[test].case, self.problem.keys, points)
             by_entry |= zip(numbers, found, strict=True)
         cases = [by_entry[i] for i in range(len(entries))]
         paces = [np.repeat(np.array([factors]).T, len(grids[test]), axis=1) for test in owners]
@@ -278,21 +278,17 @@ def _limited(grown: FloatArray, count: int) -> FloatArray:
 def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | InputError]:
     """Return the cases (p,) at values (p, m) of keys, or why a case is refused in its place."""
 
-    def read_anew(point: FloatArray) -> Case | InputError:
+    def read_anew(place: int) -> Case | InputError:
         try:
-            return case.replace(dict(zip(keys, point.tolist(), strict=True)))
+            return case.replace(dict(zip(keys, points[place].tolist(), strict=True)))
         except InputError as error:
             return error
 
     if is_elastic(case, keys):
-        return [read_anew(point) for point in points]
+        return [*map(read_anew, range(len(points)))]
     numbers: dict[Number, FloatArray] = {}
     for key, column in zip(keys, points.T, strict=True):
         path, entry = split_key(key)
         assert not isinstance(entry, int)
         numbers[path, entry] = column
-    lists = {number: values.tolist() for number, values in numbers.items()}
-    cases: list[Case | InputError] = [*with_numbers(case, lists, [case.text] * len(points))]
-    for i in np.flatnonzero(needs_reading(case, numbers)):
-        cases[i] = read_anew(points[i])
-    return cases
+    return cases_with(case, numbers, case.text, read_anew)

@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import SAME_TIME, Case, density_keys
 from ringwear_par.elasticity.sections import BODIES, BodyName
-from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
+from ringwear_par.errors import LONGEST_SENTENCE, counted, legible, warning_lines
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import (
     EDGE_ERROR,
@@ -101,7 +101,7 @@ def _volumes(data: Mapping[str, Any], body: BodyName) -> FloatArray:
     return data[f"worn_volume_{body}"][:, None] if layers is None else layers
 
 
-def densities_of(result: Result, body: BodyName) -> FloatArray:
+def _densities(result: Result, body: BodyName) -> FloatArray:
     """Return the densities of the layers and of a body itself (layers + 1,) g/mm3, or NaN."""
     about, unknown = result.attributes, [np.nan] * (_volumes(result.data, body).shape[1] - 1)
     layers = about.get(f"density_{body}_layers", unknown)
@@ -209,7 +209,7 @@ def _worn(
 ) -> Iterator[_Row]:
     """Yield the wear of a body that wears."""
     volumes = _volumes(result.data, body)[-1]
-    unknown = np.isnan(densities_of(result, body)) & (volumes > 0.0)
+    unknown = np.isnan(_densities(result, body)) & (volumes > 0.0)
     keys = density_keys(body, len(volumes) - 1)
     missing = ", ".join(key for key, lacks in zip(keys, unknown, strict=True) if lacks)
     mass, mean_rate = ends.get(f"mass_lost_{body}", np.nan), ends[f"mean_wear_rate_{body}"]
@@ -307,7 +307,7 @@ def summary(result: Result) -> str:
     """Return a result in a few lines, see ``Result.summary``."""
     numbers = {number.name: number for number in key_numbers(result)}
     warnings, (wrong, errors) = warnings_of(result), checks(result)
-    words = [f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, above"] if warnings else []
+    words = [f"{counted(len(warnings), 'warning')}, above"] if warnings else []
     words += [f"wrong: {', '.join(wrong)}"] if wrong else []
     answers = [*_answers(result, numbers), ("checks", f"{'; '.join(words) or 'ok'} ({errors})")]
     lines = [*warning_lines(warnings), *labelled(answers)]

@@ -276,7 +276,7 @@ class Recorder:
             rows = {name: [*parts, VALUES[name](unstored)] for name, parts in rows.items()}
             last = {name: VALUES[name](unstored) for name in last}
         order = np.argsort(np.concatenate(rows["number"]), kind="stable")
-        data = {name: np.concatenate(parts)[order] for name, parts in rows.items()}
+        data = {name: np.concatenate(parts).take(order, axis=0) for name, parts in rows.items()}
         offsets = np.searchsorted(data["number"], np.arange(len(self._cases) + 1))
         # of iterations those since the row before
         made, firsts = data["contact_iterations"], offsets[:-1][np.diff(offsets) > 0]

@@ -62,12 +62,14 @@ def arrays_of(
     errors : why the others have none, by place.
     """
     tables = [(at, _stored(cases[at[0]], columns)) for at, columns in parts]
-    if errors:
-        none, texts = np.zeros(len(errors)), {"status": ["failed"], "flags": [""]}
-        table = {name: _encoded(text * len(errors)) for name, text in texts.items()}
-        table |= {"error": _encoded(map(reason_of, errors.values())), "seconds": none}
-        table |= {"imbalance": none} | dict.fromkeys(("steps_stored", "elements"), none.astype(int))
-        tables.append((np.array([*errors]), table))
+    if n := len(errors):
+        failed = {
+            "status": _encoded(["failed"] * n), "flags": _encoded([""] * n),
+            "error": _encoded(map(reason_of, errors.values())),
+            "seconds": np.zeros(n), "imbalance": np.zeros(n),
+            "steps_stored": np.zeros(n, int), "elements": np.zeros(n, int),
+        }  # fmt: skip
+        tables.append((np.array([*errors]), failed))
     arrays: dict[str, Any] = {}
     for name, (shape, kind) in _layout(table for _, table in tables).items():
         fill = np.nan if kind.kind == "f" else kind.type()

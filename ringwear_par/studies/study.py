@@ -7,7 +7,7 @@ found when it is made, and fails alone.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from html import escape
@@ -22,7 +22,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import naming, override
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.numbers import Number, interval_of, needs_reading, with_numbers
+from ringwear_par.cases.numbers import Number, cases_with, interval_of
 from ringwear_par.cases.schema import unit_under
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import Fault, InputError, legible
@@ -122,17 +122,16 @@ class Study:
         cases = np.empty(len(numbers), dtype=object)
         kinds = self._kinds[numbers]
         for kind in np.unique(kinds):
-            places = np.flatnonzero(kinds == kind)
-            pattern, bad = self.case_or_error(int(numbers[places[0]])), places[1:]
-            cases[places[0]] = pattern
-            if self._numbers and isinstance(pattern, Case):
-                values = {name: of[numbers[places]] for name, of in self._numbers.items()}
-                columns = {name: column.tolist() for name, column in values.items()}
-                cases[places] = with_numbers(pattern, columns, [""] * len(places))
-                bad = places[needs_reading(pattern, values)]
-            for place in bad.tolist():
-                cases[place] = self.case_or_error(int(numbers[place]))
+            cases[kinds == kind] = self._alike(numbers[kinds == kind].tolist())
         return cases.tolist()
+
+    def _alike(self, numbers: Sequence[int]) -> list[Case | InputError]:
+        """Return cases that differ in numbers only."""
+        first = self.case_or_error(numbers[0])
+        if not self._numbers or isinstance(first, InputError):
+            return [first, *map(self.case_or_error, numbers[1:])]
+        values = {name: of[numbers] for name, of in self._numbers.items()}
+        return cases_with(first, values, "", lambda place: self.case_or_error(numbers[place]))
 
     @cached_property
     def first(self) -> int:

@@ -137,9 +137,10 @@ def _prepared(
             stored = [*folder.glob(f"{FOLDER}/*.h5")]
             if results.exists() or (stored and not there(blocks)):
                 raise InputError(f"{folder}: holds cases of another study; must be a new folder")
-        for block in filter(_has_failed, blocks if retry else []):
-            block.path.unlink()
-            results.unlink(missing_ok=True)
+        for block in blocks if retry else []:
+            if _has_failed(block.path):
+                block.path.unlink()
+                results.unlink(missing_ok=True)
         if not merged or not results.exists():
             (folder / FOLDER).mkdir(parents=True, exist_ok=True)
         warn_of_threads(comm.size)
@@ -148,9 +149,9 @@ def _prepared(
     return _Work(*on_first_rank(comm, read), folder, comm, ranks_per_case)
 
 
-def _has_failed(block: Block) -> bool:
-    """Tell whether a block is there, and some of its cases have failed. On one rank."""
-    with suppress(InputError), reading(block.path, SOFTWARE, FILE_KIND) as file:
+def _has_failed(path: Path) -> bool:
+    """Tell whether a block, or the results, are there and some cases have failed. On one rank."""
+    with suppress(InputError), reading(path, SOFTWARE, FILE_KIND) as file:
         return bool((file["status"][:] == b"failed").any())
     return False
 
@@ -250,7 +251,7 @@ def _merge(work: _Work) -> bool:
             if there(blocks) == len(blocks):
                 raise
             return False  # a damaged one is computed anew
-        if not any(map(_has_failed, blocks)):  # --retry-failed needs these
+        if not _has_failed(work.folder / RESULTS):  # --retry-failed needs the blocks
             done = folder.with_name(f".{FOLDER}")
             shutil.rmtree(done, ignore_errors=True)
             folder.rename(done)  # in one step, for processes that still look

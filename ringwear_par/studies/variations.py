@@ -16,7 +16,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, source_tables
 from ringwear_par.cases.layers import LAYERS, entries_of
-from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
+from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry, pair_entry
 from ringwear_par.cases.tables import Key, TableReader, keys_of_table, name_unknown_keys
 from ringwear_par.cases.values import (
     RejectedError,
@@ -36,8 +36,7 @@ _RULE = (
     f"numbers, > 0 for log; a range has a count from 2 to {MOST_CASES} in a grid, and in no other "
     "design"
 )
-#: an entry of a pair, or of a table, in the name of a varied key
-_PAIR = re.compile(r"(.+)\[([01])\]")
+#: an entry of a table in the name of a varied key
 _TABLE = re.compile(r"(wear\.(?:lower|upper)\.parameters|(?:lower|upper)\.profile)\.(.+)")
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
@@ -107,8 +106,8 @@ def split_key(name: str) -> tuple[str, int | str | None]:
     """
     if (layer := layer_entry(name)) is not None:
         return layer[0], f"{layer[1]}.{layer[2]}"
-    if match := _PAIR.fullmatch(name):
-        return match[1], int(match[2])
+    if (pair := pair_entry(name)) is not None:
+        return pair
     match = _TABLE.fullmatch(name)
     return (match[1], match[2]) if match else (name, None)
 

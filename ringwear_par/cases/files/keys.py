@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.cases.files.columns import read_trace
 from ringwear_par.cases.files.faults import LOADS, unread_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, expanded, layers_in_full
-from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys
+from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys, pair_entry
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
@@ -316,7 +316,7 @@ def _value_in_full(path: str, value: Any, folder: Path) -> Any:
         return _face_in_full(path, value, folder)
     if path in LAYERS:
         return layers_in_full(path, value)
-    key = key_of(path) or BY_PATH.get(path.removesuffix("[0]").removesuffix("[1]"))
+    key = key_of(path) or BY_PATH.get((pair_entry(path) or (path,))[0])
     if isinstance(value, str | list | dict) and key is not None:
         try:
             return key.without_units(value)
@@ -369,12 +369,12 @@ def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     A number of a pair, ``upper.r[1]``, is a change of the pair.
     """
     changes = dict(changes)
-    for path in [path for path in changes if path.endswith(("[0]", "[1]"))]:
-        table = path[:-3]
+    for path in [*changes]:
+        table, place = pair_entry(path) or ("", 0)
         if table in BY_PATH and BY_PATH[table].kind == "pair":
             before = changes.get(table, keys.get(table))
             pair = [*before] if isinstance(before, list) and len(before) == 2 else [None, None]
-            pair[int(path[-2])] = changes.pop(path)
+            pair[place] = changes.pop(path)
             changes[table] = pair
     for table in (*_PARAMETERS, *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
