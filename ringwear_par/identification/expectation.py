@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, counted, warning_lines
-from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.design.information import before_tests, informations
 from ringwear_par.identification.doubts import of_units
@@ -43,7 +43,7 @@ def _covariance(readings: Readings) -> FloatArray:
 
 def _in_words(problem: Problem, covariance: FloatArray) -> str:
     level = problem.settings.level
-    reach, units = float(norm.ppf(0.5 + 0.5 * level)), units_of(problem)
+    reach = float(norm.ppf(0.5 + 0.5 * level))
     n = sum(test.n for test in problem.experiments)
     lines = [
         f"{problem.name}: {counted(n, 'reading')} in "
@@ -54,8 +54,7 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
     width, bounds = max(map(len, problem.keys)), np.array(problem.unknown_bounds)
     for j, parameter in enumerate(problem.parameters):
         sd, scale = float(np.sqrt(covariance[j, j])), unit_scale(parameter)
-        unit = parameter.unit or units[parameter.key]
-        unit = "" if unit in ("1", "-") else unit
+        unit = parameter.unit or unit_of_key(problem, parameter.key).strip()
         at, (low, high) = parameter.unknown(parameter.start), bounds[:, j]
         ends = [at - reach * sd, at + reach * sd]
         interval = [parameter.value(end) / scale if low < end < high else None for end in ends]

@@ -7,7 +7,7 @@ fitted is integrated out too (flat in its logarithm).
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -79,19 +79,20 @@ class TestLikelihood:
         """Return data less readings (P, n) of the model, as a part has them, (n of the part, P)."""
         return noise.data(self.data[noise.rows])[:, None] - readings.T[noise.rows]
 
+    def _squares(self, readings: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield squares and log p (K, P) of each part at its growth times."""
+        for noise in self.noises:
+            squares = noise.squares(self._rows(noise, readings))
+            yield squares, noise.log_constants[:, None] + noise.density(squares)
+
     def by_node(self, readings: FloatArray) -> list[FloatArray]:
         """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
-        every = ((noise, noise.squares(self._rows(noise, readings))) for noise in self.noises)
-        return [noise.log_constants[:, None] + noise.density(squares) for noise, squares in every]
+        return [logs for _, logs in self._squares(readings)]
 
     def least_squares(self, readings: FloatArray) -> FloatArray:
         """Return sums of squares (parts, P), those of priors too, at the likeliest growth times."""
-        every, at = [], np.arange(len(readings))
-        for noise in self.noises:
-            squares = noise.squares(self._rows(noise, readings))
-            logs = noise.log_constants[:, None] + noise.density(squares)
-            every.append(squares[logs.argmax(axis=0), at])
-        return np.array(every)
+        at = np.arange(len(readings))
+        return np.array([q[logs.argmax(axis=0), at] for q, logs in self._squares(readings)])
 
     def __call__(self, readings: FloatArray) -> FloatArray:
         """Return log p (P,) by readings (P, n) of the model."""
@@ -108,11 +109,11 @@ class TestLikelihood:
         What they add to the readings (P, n); values (P,) by the series' number and kind, those of
         the calibrations of inputs, in their sd, by -1 and their number; and growth times (P,) s.
         """
-        added, count = np.zeros_like(readings), len(readings)
+        added = np.zeros_like(readings)
         values: dict[tuple[int, str], FloatArray] = {}
         times: dict[int, FloatArray] = {}
         for noise, logs in zip(self.noises, self.by_node(readings), strict=True):
-            nodes = logs.argmax(axis=0) if random is None else drawn_nodes(logs, count, random)
+            nodes = logs.argmax(axis=0) if random is None else drawn_nodes(logs, random)
             rows, owners = self._rows(noise, readings), noise.nuisances.owners
             explained, of_part = noise.explained(rows, nodes, random)
             added[:, noise.rows] = explained.T

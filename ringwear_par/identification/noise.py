@@ -103,15 +103,15 @@ class Noise:
         self.rows: IntArray = np.r_[tuple(among[i][1] for i in numbers)]
         self._sd, self._limit = setting.sd[self.rows], sides(test)[self.rows] != 0.0
         #: share, response and depth of each body whose wear is random, see ``Setting``
-        self.clocks = [
+        self._clocks = [
             (share, slope[self.rows], depth[self.rows])
             for share, (slope, depth) in zip(shares, setting.clocks, strict=False)
         ]
-        self._factor = self._of_wear() if self.clocks else None
+        self._factor = self._of_wear() if self._clocks else None
         #: whether the sd is integrated out, flat in its logarithm
-        self.sd_fitted = len(numbers) == 1 and self._series[0].sd_fitted and not self.clocks
+        self.sd_fitted = len(numbers) == 1 and self._series[0].sd_fitted and not self._clocks
         scales = setting.scales if len(numbers) == len(test.series) else ()
-        of = Nuisances.of(test, numbers, scales, _JOINT_NODES if self.clocks else _TIME_NODES)
+        of = Nuisances.of(test, numbers, scales, _JOINT_NODES if self._clocks else _TIME_NODES)
         self.nuisances = of
         #: degrees of freedom of the readings less free nuisances
         self.freedom = float((~self._limit).sum() - of.free.sum())
@@ -138,7 +138,7 @@ class Noise:
     def _of_wear(self) -> FloatArray:
         """Return the Cholesky factor of the covariance of instruments' noise and random wear."""
         covariance = np.eye(len(self.rows))
-        for share, slope, depth in self.clocks:
+        for share, slope, depth in self._clocks:
             wear = self._over_noise(slope[:, None] * np.minimum.outer(depth, depth))
             covariance += share**2 * self._over_noise(slope[:, None] * wear.T)
         factor: FloatArray = np.linalg.cholesky(covariance)
@@ -225,8 +225,8 @@ class Noise:
 
         The mean by rows (n, P) of data less model and nuisances, or draws.
         """
-        own = [share**2 * np.minimum.outer(depth, depth) for share, _, depth in self.clocks]
-        felt = [slope[:, None] * of for (_, slope, _), of in zip(self.clocks, own, strict=True)]
+        own = [share**2 * np.minimum.outer(depth, depth) for share, _, depth in self._clocks]
+        felt = [slope[:, None] * of for (_, slope, _), of in zip(self._clocks, own, strict=True)]
         across = self.white(np.hstack(felt))
         worn = across.T @ self.white(rows)
         if random is not None:
@@ -236,8 +236,8 @@ class Noise:
         return worn.reshape(len(own), -1, rows.shape[1])
 
 
-def drawn_nodes(logs: FloatArray, count: int, random: np.random.Generator) -> IntArray:
-    """Return draws (count,) of nodes by their log p (K, count), or by (K, 1) of all."""
+def drawn_nodes(logs: FloatArray, random: np.random.Generator) -> IntArray:
+    """Return draws (P,) of nodes by their log p (K, P)."""
     chance = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
-    nodes: IntArray = (chance < random.random(count)).sum(axis=0)
+    nodes: IntArray = (chance < random.random(logs.shape[1])).sum(axis=0)
     return np.minimum(nodes, len(logs) - 1)

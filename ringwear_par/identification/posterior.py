@@ -240,11 +240,8 @@ class Posterior:
         """
         logs = np.zeros(theta.shape[:-1])
         for place, j in enumerate(self.shared):
-            x, (low, high), p = (
-                theta[..., place],
-                (self.low[j], self.high[j]),
-                self.problem.parameters[j],
-            )
+            x, p = theta[..., place], self.problem.parameters[j]
+            low, high = self.low[j], self.high[j]
             density = -np.log(high - low)
             if p.prior is not None:
                 value, (mean, sd) = np.exp(x) if p.log else x, p.prior

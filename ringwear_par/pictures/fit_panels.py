@@ -10,7 +10,7 @@ from scipy.stats import norm
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_label, quantity_name
 from ringwear_par.cases.units import in_signs
-from ringwear_par.errors import legible
+from ringwear_par.errors import counted, legible
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
@@ -118,12 +118,10 @@ def _data(
     for side, name, marker in kinds:
         rows = series.censored == side
         if rows.any():
-            count = int(rows.sum())
-            words = f"{count} limit{'s' * (count > 1)}, {name}" if side else name
+            words = f"{counted(int(rows.sum()), 'limit')}, {name}" if side else name
             bars = None if side or errors is None else errors[rows]
             points.append(
-                Points(x[rows], y[rows], words, GREY, size + 2.0 * abs(side), 1.0, marker,
-                       errors=bars)
+                Points(x[rows], y[rows], words, GREY, size + 2.0 * abs(side), marker, errors=bars)
             )  # fmt: skip
     return points
 
@@ -138,13 +136,13 @@ def readings(series: Series) -> Panel:
         return np.insert(values[order].astype(float), gaps, np.nan)
 
     percent, bands = f"{100 * series.level:g} %", []
-    for name, reach, colour, opacity, edge in (
-        ("readings", np.hypot(series.band, series.sd), COLOURS[0], 0.1, 1.0),
-        ("the model", series.band, COLOURS[1], 0.35, 0.0),
+    for name, reach, colour, opacity, dotted in (
+        ("readings", np.hypot(series.band, series.sd), COLOURS[0], 0.1, True),
+        ("the model", series.band, COLOURS[1], 0.35, False),
     ):
         low, high = (broken(series.model + sign * series.quantile * reach) for sign in (-1.0, 1.0))
         name = f"{percent} of {name}"
-        bands.append(Band(broken(x), low, high, name, colour, opacity, edge))
+        bands.append(Band(broken(x), low, high, name, colour, opacity, dotted))
     noise = series.quantile * series.sd if len(x) <= _FEW else None
     return Panel(
         below, Axis(series.label, reversed=series.profile), series.title,

@@ -26,7 +26,7 @@ from ringwear_par.pictures.style import (
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
 #: letters of an inch of a legend above many panels
 _LETTERS_OF_INCH = 15.0
-#: factors from lines of a figure to those on a page, and for sizes of points
+#: factors from widths of lines and sizes of points in panels to points of matplotlib
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
 #: width of the edges of bands, whose fillings are pale
@@ -54,14 +54,14 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
         axes.fill_between(
             band.x, band.low, band.high, facecolor=to_rgba(band.colour, band.opacity),
             edgecolor=band.colour if band.name else "none", linewidth=_EDGE,
-            linestyle=":" if band.edge else "-", label=plain(band.name),
+            linestyle=":" if band.dotted else "-", label=plain(band.name),
         )  # fmt: skip
     for curve in panel.curves:
         _draw_curve(axes, curve)
     for points in panel.points:
         axes.plot(
             points.x, points.y, linestyle="none", marker=_MARKERS[points.marker],
-            color=points.colour, markersize=_SIZE * points.size, alpha=points.opacity,
+            color=points.colour, markersize=_SIZE * points.size,
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
             markeredgewidth=1.0 if points.hollow or points.marker == "level" else 0.0,
             rasterized=len(points.x) > _MANY,
@@ -200,8 +200,7 @@ def _draw_curve(axes: Any, curve: Curve) -> None:
         return
     style = {
         "color": curve.colour, "linestyle": DASHES[curve.dash % len(DASHES)],
-        "linewidth": _WIDTH * curve.width, "alpha": curve.opacity,
-        "label": plain(curve.name),
+        "linewidth": _WIDTH * curve.width, "label": plain(curve.name),
     }  # fmt: skip
     if len(curve.y) < len(curve.x):
         axes.step(curve.x, np.append(curve.y[:1], curve.y), where="pre", **style)

@@ -43,7 +43,6 @@ class Curve:
     #: number of its dashes, 0 for none
     dash: int = 0
     width: float = 1.6
-    opacity: float = 1.0
     #: whether its points are
     marked: bool = False
 
@@ -68,8 +67,8 @@ class Band:
     name: str
     colour: str = COLOURS[0]
     opacity: float = 0.3
-    #: width of the lines at its ends, which are dotted
-    edge: float = 0.0
+    #: whether the lines at its ends are
+    dotted: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,9 +79,8 @@ class Points:
     y: FloatArray
     name: str = ""
     colour: str = GREY
-    #: pixels of a page
+    #: pixels, as the explorer draws them
     size: float = 5.0
-    opacity: float = 1.0
     #: "dot", "level" (a short line), or an arrow "up" or "down"
     marker: Literal["dot", "level", "up", "down"] = "dot"
     #: whether only their outlines are drawn

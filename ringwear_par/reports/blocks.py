@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ringwear_par.errors import counted
 from ringwear_par.pictures.matplotlib import panel_svg
 from ringwear_par.pictures.panel import Panel
 
@@ -51,7 +52,7 @@ def checks_tile(doubts: int, note: str = "", wrong: int = 0) -> Tile:
     ----------
     doubts, wrong : numbers of warnings, and of balances that are wrong.
     """
-    words = [f"{doubts} warning{'s' * (doubts > 1)}"] if doubts else []
+    words = [counted(doubts, "warning")] if doubts else []
     words += [f"{wrong} wrong"] if wrong else []
     return Tile("checks", ", ".join(words) or "passed", note=note, good=not words)
 

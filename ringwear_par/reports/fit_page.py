@@ -16,6 +16,7 @@ from ringwear_par.files.text import read_text as read_file
 from ringwear_par.identification import summary
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.pictures import fit_panels, key_panels
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.reports import blocks as page
 from ringwear_par.results.files import reading
 from ringwear_par.results.key_numbers import time_words
@@ -76,7 +77,8 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
     )
     sections.append(page.Section("Data, model and residuals", blocks))
     if inputs:
-        sections.append(page.Section("Measured inputs", [_inputs(outcome), page.Pictures(inputs)]))
+        drawn = page.Pictures([page.chart(*of_input) for of_input in inputs])
+        sections.append(page.Section("Measured inputs", [_inputs(outcome), drawn]))
     keys = [
         page.chart(panel, f"{panel.y.label} over {panel.x.label}; numbers above")
         for row in key_panels.fitted_keys(outcome, samples)
@@ -222,20 +224,20 @@ def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 def stored_readings(
     path: Path, level: float
-) -> tuple[list[fit_panels.Series], str, list[page.Picture]]:
-    """Return the series, the fit file's text, and charts of inputs."""
+) -> tuple[list[fit_panels.Series], str, list[tuple[Panel, str]]]:
+    """Return the series, the fit file's text, and panels of inputs with what they show."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         series = [_series_of(group, level) for group in _groups(file)]
-        inputs = [*map(_input_chart, file.get("inputs", {}).values())]
+        inputs = [*map(_input_panel, file.get("inputs", {}).values())]
         return series, file.attrs["fit"], inputs
 
 
-def _input_chart(group: h5py.Group) -> page.Picture:
+def _input_panel(group: h5py.Group) -> tuple[Panel, str]:
     name, key, unit = (group.attrs[n] for n in ("experiment", "key", "unit"))
     panel = fit_panels.measured_input(
         name, key, unit, *(group[n][()] for n in ("time", "data", "curve"))
     )
-    return page.chart(panel, f"Readings of {key} in {name}, and its curve")
+    return panel, f"Readings of {key} in {name}, and its curve"
 
 
 def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:

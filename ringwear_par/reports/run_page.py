@@ -70,7 +70,8 @@ def _rig(result: Result) -> list[page.Block]:
     Laws are described as in the result: those in files of their own are not run.
     """
     if result.case.startswith(CHANGED):
-        return [page.Lines(["The stored text is not the whole case; the rig is not drawn."])]
+        words = "The rig is not drawn: the case was changed in Python, its text does not say all."
+        return [page.Lines([words])]
     try:
         keys = read_keys(result.case, result.name)
         bare = {key: value for key, value in keys.items() if not key.startswith("wear.")}
@@ -121,13 +122,13 @@ def _profiles(result: Result) -> page.Block:
 
 def _histories(result: Result) -> list[page.Block]:
     """Return the charts of the quantities over time, and which of them are constant."""
-    panels = run_panels.histories(result).values()
-    constant = [panel.title for panel in panels if _is_level(panel)]
-    charts = [
-        page.chart(panel, f"Line chart: {panel.title} over {panel.x.label}")
-        for panel in panels
-        if not _is_level(panel)
-    ]
+    charts, constant = list[page.Picture](), list[str]()
+    for panel in run_panels.histories(result).values():
+        if _is_level(panel):
+            constant.append(panel.title)
+        else:
+            alt = f"Line chart: {panel.title} over {panel.x.label}"
+            charts.append(page.chart(panel, alt))
     lines = [page.Lines([f"Constant, see the key numbers: {', '.join(constant)}."])]
     return [page.Pictures(charts), *(lines if constant else [])]
 

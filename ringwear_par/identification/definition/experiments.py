@@ -84,8 +84,7 @@ class ExperimentReader:
             keys = override(keys, {**places, **_STEPPING, **_OUTPUT})
             case = self._case(place, override(keys, self.law or {}), known)
             if tables:
-                inputs, curves = read_inputs(place, tables, case, self.files, self.faults)
-                case = case.replace(curves) if case and curves else None
+                inputs, case = read_inputs(place, tables, case, self.files, self.faults)
         specimen, batch, lab = (reader.read(group) for group in GROUPS)
         data = reader.raw("data")
         reader.finish()

@@ -43,15 +43,15 @@ def input_keys(tables: Any) -> list[str]:
 
 def read_inputs(
     place: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
-) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
-    """Return the inputs of an experiment, and the keys of its case that they are.
+) -> tuple[tuple[MeasuredInput, ...], Case | None]:
+    """Return the inputs of an experiment, and its case with them in their places.
 
     None, and faults, where one is wrong, or without a case, which has numbers in the places of what
     was measured.
     """
     if not isinstance(tables, list):
         faults.append(f"{place}: input: must be tables, [[experiment.input]]")
-        return (), {}
+        return (), None
     before, curves, inputs = len(faults), dict[str, Any](), list[MeasuredInput]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
@@ -60,11 +60,11 @@ def read_inputs(
         if case is not None and entry.of_torque:
             _check_friction(place, entry, case, faults)
         if case is None or len(faults) > before:
-            return (), {}
+            return (), None
         inputs.append(_with_suspicion(replace(entry, radius=0.5 * sum(case.contact)), case))
         curves[entry.key] = points_of(inputs[-1].curve(case))
         case = case.replace(curves)
-    return tuple(inputs), curves
+    return tuple(inputs), case
 
 
 def _input(

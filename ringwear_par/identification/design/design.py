@@ -87,7 +87,7 @@ class DesignResult(Outcome):
         if content["scatter"]:
             lines.append(
                 f"each test is of a new specimen, and {', '.join(content['scatter'])} differs "
-                "between specimens, by as much as is taken as known; numbers below are of the "
+                "between specimens (how much is taken as known); numbers below are of the "
                 "material"
             )
         rows = [content["today"], *self.designs[:_SHOWN]]
