@@ -104,7 +104,7 @@ class Explorer:
             check_case(case, 1, self._name)
             self.case, self.result = case, history_of(case, self._comm)
         except RingwearError as error:
-            last = "The charts are of the last numbers that could be computed."
+            last = "The charts still show the last case that could be computed."
             self.status.text = f"{_list(str(error).splitlines(), '#b34700')}{last}"
             return
         self.status.text = ""

@@ -151,8 +151,8 @@ def _doubts(
     inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
     if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
         doubts.append(
-            "this specimen is beyond almost all that the earlier tests let expect: intervals "
-            "are cut off there; check that they are of the same material and rig"
+            "this specimen differs from the earlier tests more than they let expect, so that "
+            "intervals may be too narrow; check that material and rig are the same"
         )
     return doubts
 

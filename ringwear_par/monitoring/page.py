@@ -36,7 +36,7 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
         charts.append(blocks.chart(panel, panel.title))
     summary = [blocks.Lines([*map(with_signs, answer["summary"])])]
     if answer["doubts"]:
-        summary.append(blocks.Lines(answer["doubts"], warning=True))
+        summary.append(blocks.Lines([*map(with_signs, answer["doubts"])], warning=True))
     sections = [
         blocks.Section("Summary", summary),
         blocks.Section("Over time", [blocks.Pictures(charts)]),
