@@ -280,16 +280,14 @@ class Case:
         return materials
 
     @property
-    def laws_by_table(self) -> dict[str, Law | None]:
+    def laws_by_table(self) -> dict[str, Law]:
         """Wear laws of bodies, and of layers that do not wear as their body, by table of keys."""
-        laws: dict[str, Law | None] = {}
+        laws: dict[str, Any] = {}
         body_laws = self.wear_lower, self.wear_upper
         for body, ring, law in zip(BODIES, self.rings, body_laws, strict=True):
-            laws[f"wear.{body}"] = None if law is None else Law.of(law)
-            for i, layer in enumerate(ring.layers):
-                if layer.wear is not None:
-                    laws[f"{body}.layers[{i}].wear"] = Law.of(layer.wear)
-        return laws
+            laws[f"wear.{body}"] = law
+            laws |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
+        return {table: Law.of(law) for table, law in laws.items() if law is not None}
 
     @cached_property
     def laws(self) -> tuple[tuple[Law, ...], tuple[Law, ...]]:

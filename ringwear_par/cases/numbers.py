@@ -84,21 +84,13 @@ def number_faults(case: Case, name: str) -> list[str]:
     return faults
 
 
-def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
-    """Return which cases have to be read and checked one by one, (cases,).
-
-    The others are good if one of them is, and have its steps and rows.
-
-    Parameters
-    ----------
-    case : a good one of them.
-    numbers : of all cases, (cases,).
-    """
+def _refused(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray:
+    """Return which cases are not known to be good, with steps and rows of a good one, (cases,)."""
     refused = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
     for number, values in numbers.items():
         if (interval := interval_of(number)) is not None:
             refused |= ~interval.holds(values)
-    if any(law is not None and law.code is not None for law in case.laws_by_table.values()):
+    if any(law.code is not None for law in case.laws_by_table.values()):
         return ~refused  # their functions are tried
     ends = numbers.get(("time.end", None))
     if ends is not None:
@@ -109,8 +101,7 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     if displacement is not None:
         refused |= case.interpenetration > displacement
     for table, law in case.laws_by_table.items():
-        if law is not None:
-            refused |= _refused_by(law, table, numbers, len(refused))
+        refused |= _refused_by(law, table, numbers, len(refused))
     return refused
 
 
@@ -139,37 +130,21 @@ def cases_with(
 
     Parameters
     ----------
-    case : a good one of them.
+    case : a good one of them, which was made of keys, see ``make_case``.
     numbers : of all cases, (cases,).
     read : returns a case that has to be read and checked, by its place, or why it cannot be.
     """
-    columns = {number: values.tolist() for number, values in numbers.items()}
-    refused = needs_reading(case, numbers)
-    cases: list[Case | InputError] = [*with_numbers(case, columns, [text] * len(refused))]
-    for place in np.flatnonzero(refused).tolist():
-        cases[place] = read(place)
-    return cases
-
-
-def with_numbers(
-    case: Case, numbers: Mapping[Number, Sequence[float]], texts: Sequence[str]
-) -> list[Case]:
-    """Return cases with other numbers and texts, which are known to be good.
-
-    The case that they are copies of is one of them, and was made of keys, see ``make_case``.
-    """
-    columns: dict[str, dict[str, Sequence[Any]]] = {"": {"text": texts}}
-    for (path, entry), values in numbers.items():
+    refused = _refused(case, numbers)
+    columns: dict[str, dict[str, Sequence[Any]]] = {"": {"text": [text] * len(refused)}}
+    for (path, entry), of_cases in numbers.items():
         if entry is None:
             part, name = _PLACES[path]
         elif path in LAYERS:
             part, name = path.partition(".")[0], entry
         else:
             part, name = _TABLES[path], f"parameters.{entry}"
-        if path == "load.pressure":
-            area = case.area
-            values = [pressure * area for pressure in values]
-        columns.setdefault(part, {})[name] = values
+        values = of_cases * case.area if path == "load.pressure" else of_cases
+        columns.setdefault(part, {})[name] = values.tolist()
     changes = columns.pop("")
     for name, part_columns in columns.items():
         part = getattr(case, name)
@@ -179,9 +154,11 @@ def with_numbers(
             part_columns = _with_layers(part, part_columns)
         changes[name] = _copies(part, part_columns)
     cases = _copies(case, changes)
-    if len(set(numbers.get(("time.end", None), ()))) < 2:
+    if len(np.unique(numbers.get(("time.end", None), ()))) < 2:
         for copy in cases:  # no number bends
             copy.__dict__["breakpoints"] = cases[0].breakpoints
+    for place in np.flatnonzero(refused).tolist():
+        cases[place] = read(place)
     return cases
 
 

@@ -62,10 +62,9 @@ def _numbers(case: Case) -> Iterator[tuple[str, float]]:
 def _coefficients(case: Case) -> Iterator[tuple[str, float]]:
     """Yield the largest values of coefficients of laws that are in 1/MPa, by key."""
     for table, law in case.laws_by_table.items():
-        if law is not None:
-            for name, quantity in law.quantities.items():
-                if law.unit(name) == "1/MPa":
-                    yield f"{table}.{name}", largest(quantity)
+        for name, quantity in law.quantities.items():
+            if law.unit(name) == "1/MPa":
+                yield f"{table}.{name}", largest(quantity)
 
 
 def wear_question(case: Case, body: str = "") -> str:

@@ -31,9 +31,8 @@ def smooth_keys(case: Case) -> dict[str, str]:
     """Return the plain numbers of a case that its history depends on smoothly, with units."""
     units: dict[str, str] = {}
     for table, law in case.laws_by_table.items():
-        if law is not None:
-            own = law.quantities.items()
-            units |= {f"{table}.{k}": law.unit(k) for k, q in own if _is_number(q)}
+        own = law.quantities.items()
+        units |= {f"{table}.{k}": law.unit(k) for k, q in own if _is_number(q)}
     load = case.load
     for key, number in (
         ("contact.friction", case.friction),

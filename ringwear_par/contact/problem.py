@@ -107,13 +107,9 @@ class Compliance:
 
     def deflection(self, p: FloatArray) -> FloatArray:
         """Return what elements give way under pressures, (B, n) mm."""
-        if len(self.line.pairs) == 1:
-            lower, upper = self.line.units[0]
-            return self.softness[:, :1] * (p @ lower.T) + self.softness[:, 1:] * (p @ upper.T)
         gives = np.empty_like(p)
-        for number in np.unique(self.pair):
-            rows = self.pair == number
-            lower, upper = self.line.units[number]
+        for number, (lower, upper) in enumerate(self.line.units):
+            rows = self.pair == number if len(self.line.units) > 1 else slice(None)
             soft = self.softness[rows]
             gives[rows] = soft[:, :1] * (p[rows] @ lower.T) + soft[:, 1:] * (p[rows] @ upper.T)
         return gives

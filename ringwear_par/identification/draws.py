@@ -116,16 +116,16 @@ def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
 
 
 def law_names(case: Case) -> dict[str, str]:
-    """Return the names of the laws of bodies and layers, "" of what does not wear, by their tables.
+    """Return the names of the laws of bodies and layers that wear, by their tables.
 
     User laws: the name and the first 12 hexadecimal digits of the source's SHA-256.
     """
     return {table: _law_name(law) for table, law in case.laws_by_table.items()}
 
 
-def _law_name(law: Law | None) -> str:
-    if law is None or law.code is None or not law.code.is_file:
-        return "" if law is None else law.name
+def _law_name(law: Law) -> str:
+    if law.code is None or not law.code.is_file:
+        return law.name
     return f"{law.name} {hashlib.sha256(law.code.source.encode()).hexdigest()[:12]}"
 
 

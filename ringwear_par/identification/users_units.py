@@ -76,7 +76,7 @@ def specific_wear_rate(
 
 def _share(case: Case, body: str) -> float | None:
     """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
-    law, mu = case.laws_by_table[f"wear.{body}"], case.friction
+    law, mu = case.laws_by_table.get(f"wear.{body}"), case.friction
     if law is None or not isinstance(mu, float) or not isinstance(law.values.get("k"), float):
         return None
     ratio = law.ratio(mu)

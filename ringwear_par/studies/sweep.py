@@ -126,7 +126,7 @@ def _prepared(
     def read() -> tuple[Study, list[Block]]:
         if ranks_per_case < 1 or comm.size % ranks_per_case:
             raise InputError(
-                f"--ranks-per-case {ranks_per_case}: must divide the {comm.size} ranks into teams"
+                f"--ranks-per-case {ranks_per_case}: must be a divisor of the {comm.size} ranks"
             )
         refuse_others(folder, "sweep")
         study = source if isinstance(source, Study) else read_study(source, ranks_per_case)
@@ -137,10 +137,9 @@ def _prepared(
             stored = [*folder.glob(f"{FOLDER}/*.h5")]
             if results.exists() or (stored and not there(blocks)):
                 raise InputError(f"{folder}: holds cases of another study; must be a new folder")
-        for block in blocks if retry else []:
-            if _has_failed(block.path):
-                block.path.unlink()
-                results.unlink(missing_ok=True)
+        for path in filter(_has_failed, [block.path for block in blocks if retry]):
+            path.unlink()
+            results.unlink(missing_ok=True)
         if not merged or not results.exists():
             (folder / FOLDER).mkdir(parents=True, exist_ok=True)
         warn_of_threads(comm.size)

@@ -1,7 +1,5 @@
 """Fits of histories: the truth is found, and what the readings do not tell is said."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from laboratory import (
@@ -28,7 +26,6 @@ from ringwear_par.identification.solution import solve
 
 pytestmark = pytest.mark.slow
 
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 K, P0, MU = "wear.lower.k", "wear.lower.p0", "contact.friction"
 FRICTION = {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}
 

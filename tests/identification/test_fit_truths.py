@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fit_coverage import Laboratory, laboratories, one_set
 from mpi4py import MPI
 from paths import PAPER
 from scipy.stats import kstest, norm
@@ -132,3 +133,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fits):
     assert np.std(errors) == pytest.approx(1.0, abs=0.25)  # three times how well 72 tell it
     assert np.mean(errors) == pytest.approx(0.0, abs=0.35)
     assert kstest([found.content["p_value"] for found in fits[0]], "uniform").pvalue > 0.01
+
+
+def test_the_script_of_coverage_fits_a_set():
+    scores = one_set(Laboratory(*laboratories()["2-specimens"]), 0)
+    assert list(scores) == ["k (%)", "scatter (%)", "next specimen (%)"]
+    assert all(0.0 < half < np.inf for _, half in scores.values())

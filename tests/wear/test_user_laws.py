@@ -182,8 +182,8 @@ class Hardening:
 
 
 def test_the_law_that_fails_is_named_beside_one_that_does_not(comm):
-    laws = {"wear_lower": Hardening(1e-9, 1e-3), "wear_upper": Mine(lambda p, local: 1e-11 * p)}
-    case = replace(rw.read_case(PAPER, {"mesh.contact_elements": 12}), **laws)
+    case, bad = rw.read_case(PAPER, {"mesh.contact_elements": 12}), Hardening(1e-9, 1e-3)
+    case = replace(case, wear_lower=bad, wear_upper=Mine(lambda p, local: 1e-11 * p))
     with pytest.raises(rw.ComputationError, match=r"Hardening.*too late"):
         rw.simulate(case, comm)
 

@@ -23,7 +23,7 @@ def law_sources(case: Case) -> dict[str, str]:
     return {
         table.removeprefix("wear.").removesuffix(".wear"): law.code.source
         for table, law in case.laws_by_table.items()
-        if law is not None and law.code is not None and law.code.is_file
+        if law.code is not None and law.code.is_file
     }
 
 
@@ -41,7 +41,7 @@ def refuse_bad_laws(case: Case, name: str) -> None:
     speed = (largest(case.load.omega) or 1.0) * r  # at the largest speed, or at 1 rad/s
     at = LocalState(0.0, r, speed, largest(case.friction), np.zeros_like(r), speed)
     for table, law in case.laws_by_table.items():
-        if law is None or law.code is None:
+        if law.code is None:
             continue
         key = f"{table}.file" if law.code.is_file else table
         try:
@@ -53,13 +53,7 @@ def refuse_bad_laws(case: Case, name: str) -> None:
 
 
 def _try(code: UserCode, local: LocalState, pressure: float) -> None:
-    """Refuse code that is no law, tried at pressures up to a given one (MPa). Not collective.
-
-    Raises
-    ------
-    InputError : it is none, wears without pressure, or gives rates that fall or jump.
-    LawError : it fails, or gives NaN or negative rates.
-    """
+    """Refuse code that is no law, tried at pressures up to a given one, MPa."""
     if isinstance(code.source, type) or not callable(code.get("rate")):
         raise InputError(
             f"{code.called} is no wear law; must be an object with rate(p, local), not a class"
