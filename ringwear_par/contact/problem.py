@@ -92,14 +92,10 @@ class Compliance:
 
         By reciprocity it vanishes with the mesh.
         """
-        known: dict[tuple[float, ...], float] = {}
-        keys = [*zip(self.pair.tolist(), *self.softness.T.tolist(), strict=True)]
-        for row, key in enumerate(keys):
-            if key not in known:
-                weighted = self.line.area[:, None] * self.matrix(row)
-                off = np.abs(weighted - weighted.T).max()
-                known[key] = float(off / np.abs(weighted).max())
-        return np.array([known[key] for key in keys])
+        keys = np.column_stack([self.pair, self.softness])
+        _, rows, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        weighted = [self.line.area[:, None] * self.matrix(row) for row in rows.tolist()]
+        return np.array([np.abs(m - m.T).max() / np.abs(m).max() for m in weighted])[which]
 
     def matrix(self, row: int) -> FloatArray:
         """Return the compliance of one history, (n, n) mm/MPa."""
@@ -107,12 +103,16 @@ class Compliance:
 
     def deflection(self, p: FloatArray) -> FloatArray:
         """Return what elements give way under pressures, (B, n) mm."""
-        gives = np.empty_like(p)
-        for number, (lower, upper) in enumerate(self.line.units):
-            rows = self.pair == number if len(self.line.units) > 1 else slice(None)
-            soft = self.softness[rows]
-            gives[rows] = soft[:, :1] * (p[rows] @ lower.T) + soft[:, 1:] * (p[rows] @ upper.T)
-        return gives
+        lower, upper = self.of_pairs(self.line.units, p).swapaxes(0, 1)
+        return self.softness[:, :1] * lower + self.softness[:, 1:] * upper
+
+    def of_pairs(self, matrices: FloatArray, p: FloatArray) -> FloatArray:
+        """Return products of matrices of pairs (f, ..., n) with pressures (B, n), (B, ...)."""
+        products = np.empty((len(p), *matrices.shape[1:-1]))
+        for number, matrix in enumerate(matrices):
+            rows = self.pair == number if len(matrices) > 1 else slice(None)
+            products[rows] = np.moveaxis(matrix @ p[rows].T, -1, 0)
+        return products
 
     def gap(self, gap: FloatArray, p: FloatArray, approach: FloatArray) -> FloatArray:
         """Return gaps (B, n) mm of bodies under pressures, from those of the undeformed ones."""

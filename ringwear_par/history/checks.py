@@ -98,14 +98,12 @@ class Worst:
 def balances(instant: Instant) -> dict[str, Any]:
     """Return the defects of states, see ``BALANCES``, (B,) each."""
     block, state = instant.block, instant.state
-    p, line, pair = state.pressure, block.line, block.compliance.pair
+    p, line = state.pressure, block.line
     force, friction = p @ line.area, block.moment(p)
     elements = line.pairs[0].line
     turning = elements.arm / elements.uniform_arm  # tractions are constant on elements
-    carried = np.empty((4, len(p)))
-    for number, of in enumerate(line.pairs):
-        weights = np.array([*of.force_reaction, *(of.torque_reaction * turning)])
-        carried[:, pair == number] = weights @ p[pair == number].T
+    weights = [[*of.force_reaction, *(of.torque_reaction * turning)] for of in line.pairs]
+    carried = block.compliance.of_pairs(np.array(weights), p).T
     lower, upper, turned_lower, turned_upper = carried
     asked = block.load.at(state.time) if block.by_force else force
     return {

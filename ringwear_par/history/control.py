@@ -86,7 +86,7 @@ def judge(
 def _error(block: Block, step: Step) -> FloatArray:
     """Return the errors of steps over those that are allowed, (B,); 0 of given steps."""
     if block.given_steps:
-        return np.where(np.isfinite(step.state.approach), 0.0, np.inf)
+        return np.zeros(len(block))
     left = np.maximum(block.limits[:, -1] - step.state.time, 0.0)
     energy = step.energy_error / (_ENERGY * (step.state.energy + step.power * left) + 1e-300)
     return np.maximum(step.error.max(axis=1) / (_share(block) * block.tolerance), energy)

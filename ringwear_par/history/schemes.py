@@ -34,18 +34,19 @@ def sdirk2(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     Alexander, SIAM J. Numer. Anal. 14 (1977) 1006-1021.
     """
     h, wear, p, d = end - state.time, state.wear, state.pressure, state.approach
-    times = state.time, state.time + GAMMA * h, end
+    times, trend = (state.time, state.time + GAMMA * h, end), state.trend
     sliding = [block.sliding(t) for t in times]
     rates, moments = [state.rates], [block.moment(p)]
-    failed, iterations = np.zeros(len(block), bool), state.iterations
+    failed, sets = np.zeros(len(block), bool), np.zeros(len(block), np.int64)
     for t, slide, share in zip(times[1:], sliding[1:], ((1.0 - GAMMA) / GAMMA, 1.0), strict=True):
         stage = block.step_wear(state.layer, t, slide, wear, GAMMA * h)
-        p, d, lost, more = solver.solve(block.worn_gap(wear), block.load.at(t), stage, p, d)
-        depths = stage.depths(p)
+        gap, load, near = block.worn_gap(wear), block.load.at(t), _near(state, t, trend)
+        p, d, lost, more = solver.solve(gap, load, stage, near, d)
+        depths, trend = stage.depths(p), _trend(state, t, p)
         wear = wear + (depths if share == 1.0 else share * depths)
         rates.append(depths / (GAMMA * h)[:, None])
         moments.append(block.moment(p))
-        failed, iterations = failed | lost, iterations + more
+        failed, sets = failed | lost, sets + more
     error = sum(c * total(rate) for c, rate in zip(_DEFECT, rates, strict=True)) * h[:, None]
     error = np.abs(solver.filtered(error, stage, p))
     entered = (state.pressure <= 0.0) & (p > 0.0)
@@ -54,17 +55,8 @@ def sdirk2(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
         error += np.where(entered, _ENTRY * elastic * worn / (elastic + worn + 1e-300), 0.0)
     works = np.array([omega * m for (omega, _), m in zip(sliding, moments, strict=True)])
     powers = works * np.array([friction for _, friction in sliding])
-    after = replace(
-        state,
-        time=end,
-        energy=state.energy + h * (_WEIGHTS @ powers),
-        normal_work=state.normal_work + h * (_WEIGHTS @ works),
-        wear=wear,
-        rates=rates[-1],
-        pressure=p,
-        approach=d,
-        iterations=iterations,
-    )
+    energy, work = h * (_WEIGHTS @ powers), h * (_WEIGHTS @ works)
+    after = _moved(state, end, wear, rates[-1], energy, work, Contact(p, d, failed, sets))
     energy_error, none = h * np.abs(_DEFECT @ powers), np.zeros_like(failed)
     return Step(after, error, energy_error, powers.max(axis=0), failed, none)
 
@@ -73,50 +65,58 @@ def implicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Ste
     """The pressure at the end of a step wears throughout it (backward Euler)."""
     h, sliding, gap = end - state.time, _mean_sliding(block, state, end), block.worn_gap(state.wear)
     stage = block.step_wear(state.layer, end, sliding, state.wear, h)
-    contact = solver.solve(gap, block.load.at(end), stage, state.pressure, state.approach)
-    wear = state.wear + stage.depths(contact.pressure)
-    return _first_order(block, state, end, sliding, wear, contact.pressure, contact)
+    near = _near(state, end, state.trend)
+    contact = solver.solve(gap, block.load.at(end), stage, near, state.approach)
+    depths, work = stage.depths(contact.pressure), h * sliding[0] * block.moment(contact.pressure)
+    wear, rates = state.wear + depths, depths / h[:, None]
+    return _given(_moved(state, end, wear, rates, sliding[1] * work, work, contact), contact)
 
 
 def explicit(block: Block, solver: Solver, state: State, end: FloatArray) -> Step:
     """The pressure at the start of a step wears throughout it, eq. (6) of the paper."""
     h, sliding, p = end - state.time, _mean_sliding(block, state, end), state.pressure
     now = block.step_wear(state.layer, state.time, sliding, state.wear, h)
-    wear = state.wear + h[:, None] * now.rates(p)
+    wear, work = state.wear + h[:, None] * now.rates(p), h * sliding[0] * block.moment(p)
     contact = solver.solve(block.worn_gap(wear), block.load.at(end), None, p, state.approach)
-    return _first_order(block, state, end, sliding, wear, p, contact)
+    rates = rates_at(block, state.layer, end, wear, contact.pressure)
+    return _given(_moved(state, end, wear, rates, sliding[1] * work, work, contact), contact)
 
 
 def _mean_sliding(block: Block, state: State, end: FloatArray) -> tuple[FloatArray, FloatArray]:
     return block.omega.mean(state.time, end), block.friction.mean(state.time, end)
 
 
-def _first_order(
-    block: Block,
+def _trend(state: State, time: FloatArray, p: FloatArray) -> FloatArray:
+    return (p - state.pressure) / (time - state.time)[:, None]
+
+
+def _near(state: State, time: FloatArray, trend: FloatArray) -> FloatArray:
+    """Return pressures (B, n) to begin a contact from, of a trend since the state."""
+    return np.maximum(state.pressure + (time - state.time)[:, None] * trend, 0.0)
+
+
+def _moved(
     state: State,
     end: FloatArray,
-    sliding: tuple[FloatArray, FloatArray],
     wear: FloatArray,
-    p: FloatArray,
+    rates: FloatArray,
+    energy: FloatArray,
+    work: FloatArray,
     contact: Contact,
-) -> Step:
-    """Return a step to a contact, in which one pressure wears throughout; p (B, n) MPa."""
-    h, (omega, friction) = end - state.time, sliding
-    rates, work = rates_at(block, state.layer, end, wear, contact.pressure), omega * block.moment(p)
-    after = replace(
-        state,
-        time=end,
-        energy=state.energy + h * friction * work,
-        normal_work=state.normal_work + h * work,
-        wear=wear,
-        rates=rates,
-        pressure=contact.pressure,
-        approach=contact.approach,
+) -> State:
+    """Return states after steps that took these energies of friction, and work, (B,) N mm."""
+    return replace(
+        state, time=end, energy=state.energy + energy, normal_work=state.normal_work + work,
+        wear=wear, rates=rates, pressure=contact.pressure, approach=contact.approach,
+        trend=_trend(state, end, contact.pressure),
         iterations=state.iterations + contact.iterations,
-    )
-    error = np.abs((rates - state.rates).sum(axis=0)) * (0.5 * h)[:, None]
-    none = np.zeros_like(contact.failed)
-    return Step(after, error, np.zeros_like(h), friction * work, contact.failed, none)
+    )  # fmt: skip
+
+
+def _given(after: State, contact: Contact) -> Step:
+    """Return steps whose errors nothing estimates."""
+    none = np.zeros_like(after.time)
+    return Step(after, np.zeros_like(after.pressure), none, none, contact.failed, none > 0.0)
 
 
 def rates_at(
@@ -150,7 +150,7 @@ def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
         layer[i] = (body.ends <= 0.0).sum(axis=0)
     rates, never = rates_at(block, layer, zero, wear, p), np.full(count, np.inf)
     state = State(
-        zero, zero, zero, wear, rates, layer, p, d, d, np.full((count, 2), np.inf),
-        none, iterations, zero, zero, never,
+        zero, zero, zero, wear, rates, layer, p, d, d, np.zeros_like(p),
+        np.full((count, 2), np.inf), none, iterations, zero, zero, never,
     )  # fmt: skip
     return state, failed | ~np.isfinite(rates).all(axis=(0, 2))

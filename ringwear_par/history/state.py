@@ -25,6 +25,8 @@ class State:
     pressure: FloatArray
     approach: FloatArray
     first_approach: FloatArray
+    #: (B, n) MPa/s of the pressure in the last step, from which the next one is guessed
+    trend: FloatArray
     #: (B, 2) s, when wear first got through all layers of lower and upper; infinite before
     through: FloatArray
     #: (B,) steps made; iterations of the contact solver in them; and mm, the largest error that a

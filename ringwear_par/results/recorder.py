@@ -49,9 +49,9 @@ Arrays = dict[str, Any]
 def _twist(of: Instant) -> FloatArray:
     """Return the area mean of the circumferential displacement jump, (B,) mm."""
     line, compliance = of.block.line, of.block.compliance
-    per_shear = np.array([pair.twist for pair in line.pairs])[compliance.pair] / line.area.sum()
-    jump = np.einsum("bi,bin,bn->b", compliance.softness, per_shear, of.state.pressure)
-    return of.block.friction.at(of.state.time) * jump
+    per_shear = np.array([pair.twist for pair in line.pairs]) / line.area.sum()
+    jumps = compliance.softness * compliance.of_pairs(per_shear, of.state.pressure)
+    return of.block.friction.at(of.state.time) * jumps.sum(axis=1)
 
 
 def _gap(of: Instant) -> FloatArray:

@@ -37,7 +37,7 @@ from ringwear_par.version import __version__, versions
 
 log = logging.getLogger(__name__)
 
-#: how variables are compressed
+#: how variables of all are compressed; blocks are read once
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 #: bytes that results may take beside their blocks
 _MORE_BYTES = 1e6
@@ -147,7 +147,7 @@ def write_block(block: Block, arrays: Mapping[str, Any]) -> None:
     with atomic_hdf5(block.path) as file:
         file.attrs.update(software=SOFTWARE, version=__version__)
         for name, values in arrays.items():
-            file.create_dataset(name, data=values, **_PACKED)
+            file.create_dataset(name, data=values, chunks=True, fletcher32=True)
 
 
 # -- of all ------------------------------------------------------------------------------------

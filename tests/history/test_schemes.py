@@ -109,8 +109,7 @@ def test_orders(name):
     assert orders == pytest.approx([ORDERS[name]] * 2, abs=0.15)
 
 
-@pytest.mark.parametrize("name", ORDERS)
-def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(name):
+def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error():
     """Of one step from a state that has left the singular transient behind, against many."""
     stepping = Stepping("adaptive", until=30.0, tolerance=1e-5)
     case = paper_case(Mesh(16, grading=1.0), k=(1e-7, 1e-8), p0=(40.0, 0.0), stepping=stepping)
@@ -119,7 +118,7 @@ def test_the_estimated_error_of_a_step_is_of_the_size_of_the_error(name):
     solver, exact = BlockSolver(block.compliance, True, np.full(1, np.inf), 1e-9), last[-1]
     for end in np.linspace(30.0, 34.0, 81)[1:]:
         exact = schemes.sdirk2(block, solver, exact, np.array([end])).state
-    found = getattr(schemes, name)(block, solver, last[-1], np.array([34.0]))
+    found = schemes.sdirk2(block, solver, last[-1], np.array([34.0]))
     error = np.abs((found.state.wear - exact.wear).sum(axis=0)).max()
     assert 0.1 < found.error.max() / error < 3.0
 

@@ -52,7 +52,7 @@ def test_a_larger_limit_goes_on_to_the_same_bits(tmp_path, comm, time):
     run(parts, "1 um", restart=True)
     assert_same(whole, parts)
     assert 0.0 < rw.open_result(parts).histories["time"][-1] < 20.0
-    run(whole, "")
+    run(whole, "", restart=True)
     run(parts, "", restart=True)
     assert_same(whole, parts)
     assert "stopped_by" not in rw.open_result(parts).attributes
