@@ -61,7 +61,7 @@ def write_posterior(
     """Write draws.nc: draws, replicas of the readings by each, and log likelihoods. On one rank."""
     random = np.random.default_rng(0)
     logs, replicas = zip(*(
-        readings_of_draws(likelihood, draws.tests[:, i], random)
+        readings_of_draws(likelihood, draws.of_test(i), random)
         for i, likelihood in enumerate(likelihoods)
     ), strict=True)  # fmt: skip
     readings = {
@@ -134,7 +134,7 @@ def figure_of_readings(every: Sequence[FittedSeries], level: float) -> Figure:
 
 def figure_of_keys(outcome: Mapping[str, Any], draws: Draws) -> Figure:
     """Return the draws of each key, and of pairs."""
-    by_key = dict(zip(draws.keys, draws.values(draws.material).T, strict=True))
+    by_key = dict(zip(draws.keys, draws.material.T, strict=True))
     rows = key_panels.fitted_keys(outcome, by_key)
     return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
 

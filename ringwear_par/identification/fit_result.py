@@ -11,17 +11,15 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts, fit_folder
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem, body_of_wear
-from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem
+from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names, values_of
 from ringwear_par.identification.fitted_tests import (
     FittedSeries,
     fitted_series,
-    scores_and_information,
 )
 from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.solution import Solution
@@ -55,10 +53,7 @@ class FitResult(Outcome):
     content: dict[str, Any]
 
     def __repr__(self) -> str:
-        keys = self.parameters.items()
-        estimates = (f"{key} = {e['estimate']:.3g} ({e['verdict']})" for key, e in keys)
-        squares, n = self.content["chi2"], self.content["n_data"]
-        return f"<FitResult: {', '.join(estimates)}; chi2 = {squares:.4g} of {n} readings>"
+        return self.summary()
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -80,22 +75,25 @@ class FitResult(Outcome):
         A picture that cannot be drawn is left out, with a warning; see ``Outcome.save``.
         """
         folder, content, software = Path(path), self.content, self.content["versions"]
-        figures = {
+        figures: dict[str, Callable[[], Figure]] = {
             folders.CURVES: self.plot,
             folders.ESTIMATES: lambda: fit_folder.figure_of_keys(content, self.draws),
             folders.SPECIMENS: lambda: fit_folder.figure_of_specimens(content),
         }
         contents: dict[str, Callable[[], bytes | None]] = {
-            n: partial(picture, draw, str(folder / n)) for n, draw in figures.items()
+            name: partial(picture, figure, str(folder / name)) for name, figure in figures.items()
         }
         if not self.problem.scatters:
             contents[folders.SPECIMENS] = lambda: None
         contents[folders.FIT] = lambda: folders.json_bytes(content)
-        likelihoods = self.solution.posterior.likelihoods
-        readings, posterior = folder / folders.READINGS, folder / folders.POSTERIOR
         with folders.new_files(folder, FILES, "fit"):
-            fit_folder.write_readings(readings, self.problem, self.series, software)
-            fit_folder.write_posterior(posterior, self.draws, self.series, likelihoods, software)
+            fit_folder.write_readings(
+                folder / folders.READINGS, self.problem, self.series, software
+            )
+            likelihoods = self.solution.posterior.likelihoods
+            fit_folder.write_posterior(
+                folder / folders.POSTERIOR, self.draws, self.series, likelihoods, software
+            )
             folders.write_contents(folder, contents)
 
     def plot(self) -> Figure:
@@ -105,44 +103,40 @@ class FitResult(Outcome):
 
 def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
-    problem, posterior = solution.problem, solution.posterior
-    random = np.random.default_rng(0)
+    problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
     x, best = posterior.of_tests(solution.theta), posterior.of_tests(solution.best)
     material = posterior.material(solution.theta, random)
+    log, bounds = (np.array([getattr(p, n) for p in problem.parameters]) for n in ("log", "bounds"))
+    values, of_tests = (values_of(unknowns, log, bounds) for unknowns in (material, x))
     # states of the sampler follow one another, its walkers, a multiple of the chains, side by side
     states = np.linspace(0, len(x) // CHAINS - 1, _KEPT).round().astype(int)
     rows = (CHAINS * states + np.arange(CHAINS)[:, None]).ravel()
     some = rows[:: max(1, len(rows) // _BANDS)]
-    draws = _draws(solution, rows, material[rows])
     every, scales = list[FittedSeries](), list[FloatArray]()
     for i, likelihood in enumerate(posterior.likelihoods):
         series, drawn = fitted_series(likelihood, best[i], x[some, i], solution.depths, random)
         every, scales = every + series, scales + drawn
-    shares = np.median(posterior.shares(solution.theta), axis=0)
-    scores, information = np.stack([
-        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
-        for i, likelihood in enumerate(posterior.likelihoods)
-    ], axis=1)  # fmt: skip
-    nuisances = {
-        f"{kind} of {one.title}": drawn
-        for one in every for kind, drawn in one.nuisances.items() if kind != GROWTH_TIME
+    correlations = {
+        f"{kind} of {one.title}": np.corrcoef(material[some].T, drawn)[-1]
+        for one in every for kind, drawn in one.nuisances.items()
+        if kind != GROWTH_TIME and drawn.std() > 0.0
     }  # fmt: skip
-    own = np.maximum(information, 1e-300) ** -0.5
-    parameters = key_entries(solution, material, own, material[some], nuisances)
+    parameters = key_entries(solution, material, values, of_tests, correlations)
     process, squares = process_entries(solution), _goodness(solution, every, x[some])
     checks = [
         *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
-        *doubts.of_tests(problem, parameters, scores, information),
+        *doubts.of_tests(solution, parameters, best, x),
     ]  # fmt: skip
     found = (
         *doubts.of_keys(parameters), *(check.doubt for check in checks if check.doubt is not None),
         *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
         *doubts.of_units(problem.experiments),
     )  # fmt: skip
+    draws = _draws(solution, rows, values[rows], of_tests[rows])
     content = {
         "parameters": parameters,
         "keys": [*problem.keys],
-        "covariance": np.atleast_2d(np.cov(draws.values(draws.material).T)).tolist(),
+        "covariance": np.atleast_2d(np.cov(draws.material.T)).tolist(),
         "level": problem.settings.level,
         **squares,
         "evidence": solution.log_evidence,
@@ -168,29 +162,24 @@ def result_of(solution: Solution) -> FitResult:
     return FitResult(problem, solution, draws, tuple(every), found, content)
 
 
-def _draws(solution: Solution, rows: Any, material: FloatArray) -> Draws:
-    """Return the draws that are kept: some rows of ``theta``, and the material's unknowns there."""
-    problem, posterior, theta = solution.problem, solution.posterior, solution.theta[rows]
-    sizes = np.zeros((len(rows), len(BODIES)))
-    shares = posterior.shares(theta)
-    for place, (key, process) in enumerate(problem.settings.process.items()):
-        found = shares[:, place] ** 2 * solution.depths[place]
-        sizes[:, BODIES.index(body_of_wear(key))] = process.size or found
-    units = units_of(problem)
+def _draws(solution: Solution, rows: Any, values: FloatArray, of_tests: FloatArray) -> Draws:
+    """Return the draws that are kept, some rows of ``theta``: values of the material and tests."""
+    problem, theta, units = solution.problem, solution.theta[rows], units_of(solution.problem)
+    keys, tests, scatterings = problem.keys, problem.experiments, solution.posterior.scatterings
+    shares = solution.posterior.shares(theta).T
     return Draws(
-        keys=problem.keys, units=tuple(units[key] for key in problem.keys),
-        logarithmic=np.array([p.log for p in problem.parameters]),
-        bounds=np.array([p.bounds for p in problem.parameters], dtype=float),
-        material=material, tests=posterior.of_tests(theta),
-        scatter={
-            (problem.keys[s.key], level): size(theta)
-            for s in posterior.scatterings for level, size in s.levels.items()
+        keys, tuple(units[key] for key in keys), np.array([p.log for p in problem.parameters]),
+        np.array([p.bounds for p in problem.parameters], dtype=float), values,
+        {keys[s.key]: of_tests[..., s.key] for s in scatterings},
+        {(keys[s.key], name): size(theta) for s in scatterings for name, size in s.levels.items()},
+        {
+            key: np.full(len(theta), noise.size or share**2 * depth)
+            for (key, noise), share, depth in zip(
+                problem.settings.process.items(), shares, solution.depths, strict=True
+            )
         },
-        process=sizes,
-        specimens=tuple(test.groups[0] for test in problem.experiments),
-        laws=law_names(problem.experiments[0].case),
-        conditions=np.array([conditions_of(t.case, problem.keys) for t in problem.experiments]),
-        effective=min(solution.effective, float(len(rows))),
+        tuple(test.name for test in tests), tuple(test.groups[0] for test in tests),
+        law_names(tests[0].case), np.array([conditions_of(test.case, keys) for test in tests]),
     )  # fmt: skip
 
 
@@ -251,8 +240,6 @@ def _numbers_of_tests(
         found = {kind: _mean_and_sd(draws) for kind, draws in one.nuisances.items()}
         if GROWTH_TIME in found:
             found["thermal"]["time"] = found.pop(GROWTH_TIME)
-        for kind in [n.kind for n in series.nuisances if n.power and n.kind in found]:
-            found[kind]["power"] = True
         if found:
             nuisance.setdefault(one.test, {})[series.name] = found
     left, tests = iter(scales), {one.test: one.experiment for one in every}.values()

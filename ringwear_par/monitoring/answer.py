@@ -17,10 +17,10 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
+from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
-from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.prediction.predict import doubts_of
 from ringwear_par.prediction.prediction import TimeTo

@@ -12,9 +12,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible, reason_of, warning_lines
-from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
+from ringwear_par.files.folders import FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.definition.series import averaged
@@ -26,7 +25,6 @@ from ringwear_par.monitoring.follower import Follower
 from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.predict import check_predicted, fit_draws
-from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.progress import StopSignals
 from ringwear_par.version import versions
@@ -87,7 +85,7 @@ def run_follow(
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
             if follower is None or frame != (problem.text, test.case.text, fixed):
-                followed, of = _of_the_fit(problem, after, known)
+                followed, of = _of_the_fit(problem, known)
                 readings.tell(f"histories of {legible(name)}")
                 follower = Follower(known, of, followed, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
@@ -162,27 +160,19 @@ def read_running(source: Path, name: str = "") -> Problem:
     return replace(problem, experiments=(replace(test, series=series),))
 
 
-def _of_the_fit(problem: Problem, after: Path | None, draws: Draws) -> tuple[Problem, str]:
+def _of_the_fit(problem: Problem, draws: Draws) -> tuple[Problem, str]:
     """Return the problem of a test with the random wear that the fit knows, and whose test it is.
 
     InputError for the test of another fit.
     """
     (test,) = problem.experiments
-    if after:
-        with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
-            tested = test.name in outcome["experiments"]
-        if tested:
-            raise InputError(
-                f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
-                "readings would count twice; must be followed after a fit without it"
-            )
-    if problem.keys != draws.keys:
+    if test.name in draws.experiments:
         raise InputError(
-            f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
-            "the fit of earlier tests"
+            f"{problem.name}: {legible(test.name)}: is among the tests of the fit, so that its "
+            "readings would count twice; must be followed after a fit without it"
         )
+    draws.check_keys(problem)
     of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
     check_predicted(draws, test.case, problem.name, of)
-    sizes = zip(BODIES, draws.process.T, strict=True)
-    process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
+    process = {key: ProcessNoise() for key in draws.process}
     return replace(problem, settings=replace(problem.settings, process=process)), of

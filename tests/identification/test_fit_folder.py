@@ -87,7 +87,7 @@ def test_tables_for_spreadsheets(folder, tmp_path):
 
 def test_replicas_are_about_as_far_off_as_the_readings(found):
     """And log p of the readings is about that of their residuals, and of bands that widen them."""
-    emulated, x = found.solution.posterior.likelihoods[0], found.draws.tests[:, 0]
+    emulated, x = found.solution.posterior.likelihoods[0], found.draws.of_test(0)
     logs, replicas = readings_of_draws(emulated, x, np.random.default_rng(0))
     model, sd, band, residuals = (
         np.concatenate([getattr(one, name) for one in found.series if one.test == "test 1"])
@@ -111,8 +111,9 @@ def test_draws_are_read_as_they_were_written(specimens, tmp_path):
         one, other = getattr(again, name), getattr(draws, name)
         if isinstance(other, np.ndarray):
             np.testing.assert_allclose(one, other, rtol=1e-12)
-        elif name == "scatter":
-            np.testing.assert_array_equal(one[K, "specimen"], other[K, "specimen"])
+        elif name in ("tests", "scatter", "process"):
+            assert [*one] == [*other]
+            np.testing.assert_array_equal([*one.values()], [*other.values()])
         else:
             assert one == other, name
     count, n = len(draws), specimens.content["n_data"]

@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
                                              "time.end": END, "time.scheme": "adaptive",
                                              "time.step": None, "time.steps": None})  # fmt: skip
     draws = draws_of(case, count=2000, tau=TAU)
-    save_fit(path / "fit", fit_of(draws), ["S1"])
+    save_fit(path / "fit", fit_of(draws))
     record(path / "z.csv", *clean(1))
     return path
 
@@ -184,7 +184,7 @@ def test_random_wear_is_as_by_hand(folder):
     problem = problem_of(running(folder), process={"wear.lower": ProcessNoise()})
     (test,), reached = problem.experiments, []
     for size in (2e-6, 2e-5, 2e-4):
-        draws = replace(fit_draws(folder / "fit"), process=np.tile([size, 0.0], (2000, 1)))
+        draws = replace(fit_draws(folder / "fit"), process={"wear.lower": np.full(2000, size)})
         follower = follower_of(problem, draws)
         if size < 1e-4:  # where it is all but normal
             found = follower.update(test)
@@ -280,7 +280,7 @@ columns = { time = "t_s", value = "M_Nmm" }
     )
     (folder / "torque.toml").write_text(tables)
     alone = replace(fit_draws(folder / "fit"), scatter={})
-    save_fit(folder / "alone", fit_of(replace(alone, material=alone.material + 0.25)))
+    save_fit(folder / "alone", fit_of(replace(alone, material=1.3 * alone.material)))
     stored = follow(folder / "torque.toml", folder, after=folder / "alone")
     low, high = stored["keys"][K]["interval"]
     assert low < TRUE_K < high

@@ -69,13 +69,15 @@ def test_residuals_are_data_less_model(found):
 def test_densities_and_pairs_are_those_of_the_draws(found):
     """With the interval's ends, one where there is one limit, and the verdict."""
     check_texts(figure_of_keys(found.to_dict(), found.draws))
-    values = found.draws.values(found.draws.material)
-    draws, outcome = dict(zip(found.draws.keys, values.T, strict=True)), found.to_dict()
+    draws, outcome = (
+        dict(zip(found.draws.keys, found.draws.material.T, strict=True)),
+        found.to_dict(),
+    )
     ((alone,), (pair, _)) = key_panels.fitted_keys(outcome, draws)
     low, high = outcome["parameters"]["wear.lower.k"]["interval"]
     assert [curve.x[0] for curve in alone.curves][:2] == pytest.approx([low, high])
     assert alone.labels == []
-    for axis, column in zip(("x", "y"), values.T, strict=True):
+    for axis, column in zip(("x", "y"), found.draws.material.T, strict=True):
         shown = getattr(pair.points[0], axis)
         assert len(shown) == 1000
         assert np.median(shown) == pytest.approx(np.median(column), 0.02)
