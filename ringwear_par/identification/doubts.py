@@ -6,7 +6,7 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import chi2
@@ -37,42 +37,42 @@ _FEW = 2
 _EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
 
 Entries = Mapping[str, Mapping[str, Any]]
+Doubt = ValidityWarning | None
+Check = tuple[dict[str, Any], Doubt]
 
 
-class Check(NamedTuple):
-    """Something that was checked of a fit."""
+def check(
+    name: str, value: float, must: Literal["<", ">"], limit: float, doubt: Doubt = None
+) -> Check:
+    """Return what fit.json has of a check, and a doubt where it is not passed.
 
-    name: str
-    value: float
-    limit: float
-    passed: bool
-    #: where it was not passed and the table of checks does not tell all
-    doubt: ValidityWarning | None = None
+    No doubt where the table of checks tells all.
+    """
+    passed = bool(value < limit if must == "<" else value > limit)
+    known = value if np.isfinite(value) else None
+    entry = {"name": name, "value": known, "must": must, "limit": limit, "pass": passed}
+    return entry, None if passed else doubt
 
 
 def of_computation(solution: Solution) -> list[Check]:
     """Return what tells whether draws are those of the posterior."""
-    emulated, stepped, effective = solution.emulator_error, solution.step_error, solution.effective
-    share, doubt = solution.failed / max(solution.histories, 1), None
-    if share > _FAILED:
-        text = (
-            f"{solution.failed} of {solution.histories} histories failed, and count as "
-            f"improbable: {solution.reason}"
-        )
-        doubt = ValidityWarning("histories-failed", text)
-    off = None
-    if not np.isfinite(stepped):
-        text = (
-            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
-            "narrower bounds or priors would help"
-        )
-        off = ValidityWarning("not-settled", text)
+    failed, settled = solution.failed / max(solution.histories, 1), np.isfinite(solution.step_error)
+    lost = ValidityWarning(
+        "histories-failed",
+        f"{solution.failed} of {solution.histories} histories failed, and count as improbable: "
+        f"{solution.reason}",
+    )
+    off = ValidityWarning(
+        "not-settled",
+        "draws still reach the ends of where emulators are known: intervals may be too narrow; "
+        "narrower bounds or priors would help",
+    )
     step = "time steps halved: sd of the change of log p"
     return [
-        Check("emulators: sd of the error of log p", emulated, _EMULATED, emulated < _EMULATED),
-        Check(step, stepped, _STEPPED, stepped < _STEPPED, off),
-        Check("share of histories that failed", share, _FAILED, share < _FAILED, doubt),
-        Check("effective number of draws", effective, _EFFECTIVE, effective > _EFFECTIVE),
+        check("emulators: sd of the error of log p", solution.emulator_error, "<", _EMULATED),
+        check(step, solution.step_error, "<", _STEPPED, None if settled else off),
+        check("share of histories that failed", failed, "<", _FAILED, lost),
+        check("effective number of draws", solution.effective, ">", _EFFECTIVE),
     ]
 
 
@@ -85,8 +85,8 @@ def of_squares(goodness: Mapping[str, Any]) -> list[Check]:
         f"{goodness['degrees_of_freedom']:.4g} degrees of freedom (p = {p:.1g}); the noise is "
         "larger than its sd, or the wear law is another"
     )
-    doubt = ValidityWarning("does-not-fit", text) if goodness["flagged"] else None
-    return [Check("chi2: probability of one so large", p, IMPROBABLE, doubt is None, doubt)]
+    doubt = ValidityWarning("does-not-fit", text)
+    return [check("chi2: probability of one so large", p, ">", IMPROBABLE, doubt)]
 
 
 def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
@@ -106,7 +106,7 @@ def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     )
     doubt = _together("residuals-trend", [one for one in found if -one[0] < _NO_NOISE], text)
     name, least = "residuals in time: least probability that they are noise", -max(found)[0]
-    return [Check(name, least, _NO_NOISE, not doubt, *doubt)]
+    return [check(name, least, ">", _NO_NOISE, *doubt)]
 
 
 def of_tests(solution: Solution, entries: Entries, best: FloatArray, x: FloatArray) -> list[Check]:
@@ -143,13 +143,9 @@ def of_tests(solution: Solution, entries: Entries, best: FloatArray, x: FloatArr
         values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
         names = tuple(tests[i].name for i in informed)
         doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
-        found.append((q, key, p, None if p >= _NO_CHANCE else doubt))
-    if not found:
-        return []
+        found.append((q, check(f"tests agree on {key}: probability", p, ">", _NO_CHANCE, doubt)))
     # one that scatters makes the others look as if they did
-    _, key, p, failure = max(found, key=lambda one: one[0])
-    name = f"tests agree on {key}: probability"
-    return [Check(name, p, _NO_CHANCE, failure is None, failure)]
+    return [one for _, one in sorted(found, key=lambda one: one[0])[-1:]]
 
 
 def heterogeneity(
@@ -229,8 +225,8 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     """Return doubts about single readings, and about growth that may be drift."""
     outliers, alike = [], []
     for one in every:
-        series, residuals = one.series, one.residuals
-        far = np.where(one.censored * residuals < 0.0, 0.0, np.abs(residuals))
+        series, residuals = one.series, one.drawn.residuals
+        far = np.where(one.drawn.censored * residuals < 0.0, 0.0, np.abs(residuals))
         out = far[far > _FAR]  # but for limits that hold
         few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
         if len(out) and few and not series.sd_fitted:

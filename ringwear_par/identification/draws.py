@@ -4,7 +4,6 @@ Predictions, plans and running tests read only these, from a fit or from its ``d
 ArviZ opens too.
 """
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.law import Law
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import Problem, body_of_wear, reflected
@@ -137,17 +135,9 @@ def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
 
 
 def law_names(case: Case) -> dict[str, str]:
-    """Return the names of the laws of bodies and layers that wear, by their tables.
-
-    User laws: the name and the first 12 hexadecimal digits of the source's SHA-256.
-    """
-    return {table: _law_name(law) for table, law in case.laws_by_table.items()}
-
-
-def _law_name(law: Law) -> str:
-    if law.code is None or not law.code.is_file:
-        return law.name
-    return f"{law.name} {hashlib.sha256(law.code.source.encode()).hexdigest()[:12]}"
+    """Return the names of the laws of bodies and layers that wear, or their files, by table."""
+    laws = case.laws_by_table.items()
+    return {table: law.name if law.code is None else law.code.called for table, law in laws}
 
 
 def write_draws(

@@ -21,6 +21,11 @@ from ringwear_par.pictures.style import STYLE, NotebookFigure
 from ringwear_par.results.files import atomic_hdf5
 from ringwear_par.results.variables import SOFTWARE
 
+#: what is written of series, and what it means
+_WRITTEN = {
+    "data": "what was read", "sd": "noise of the data", "band": "sd of the model's reading",
+    "model": "the model's reading, with nuisances and random wear",
+}  # fmt: skip
 #: most columns of series; inches of readings with their residuals, and of a legend above all
 _COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
 #: inches of the strip of single readings: height of a row, margin around them, least width
@@ -78,36 +83,32 @@ def write_posterior(
 
 def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
     """Write data, model, band and residuals of a series; ``bodies`` are those of random wear."""
-    series = one.series
+    series, drawn, factor = one.series, one.drawn, one.series.factor
     group.attrs.update(
         experiment=one.test, series=series.name, quantity=series.quantity,
-        file=series.file, data_unit=series.unit, contact=one.experiment.case.contact,
+        file=series.file, data_unit=series.unit, contact=drawn.edges,
     )  # fmt: skip
     base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
     columns = [
         (at[0], series.x, at[1], "where or when it was read"),
-        ("data", series.value, base, "what was read"),
-        ("sd", one.sd, base, "noise of the data"),
-        ("model", one.model, base, "the model's reading, with nuisances and random wear"),
-        ("band", one.band, base, "sd of the model's reading"),
-        ("residual", one.residuals, "1", "data less model over its noise, white"),
+        ("residual", drawn.residuals, "1", "data less model over its noise, white"),
+        *((name, factor * getattr(drawn, name), base, of) for name, of in _WRITTEN.items()),
     ]
     for body, excess, sd in zip(bodies, one.excess.T, one.excess_sd.T, strict=True):
         meaning = "mean depth worn beyond that of the law, by the readings"
         columns.append((f"excess_{body}", excess, "mm", meaning))
         columns.append((f"excess_{body}_sd", sd, "mm", f"sd of excess_{body}"))
-    if one.censored.any():
+    if drawn.censored.any():
         meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-        columns.append(("censored", one.censored, "1", meaning))
+        columns.append(("censored", drawn.censored.astype(float), "1", meaning))
     write_columns(group, {"reading": series.n}, columns)
 
 
-def figure_of_readings(every: Sequence[FittedSeries], level: float) -> Figure:
-    """Return the figure of data, model, its band at a level, and residuals.
+def figure_of_readings(drawn: Sequence[fit_panels.Series]) -> Figure:
+    """Return the figure of data, model, its band, and residuals.
 
     Series of one reading, such as weighings, share a strip below: a line each.
     """
-    drawn = [one.drawn(level) for one in every]
     curves = [series for series in drawn if len(series.x) > 1]
     single = [series for series in drawn if len(series.x) == 1]
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))

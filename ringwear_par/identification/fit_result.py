@@ -15,7 +15,7 @@ from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts, fit_folder
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Problem
 from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names, values_of
 from ringwear_par.identification.fitted_tests import (
     FittedSeries,
@@ -98,7 +98,7 @@ class FitResult(Outcome):
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals."""
-        return fit_folder.figure_of_readings(self.series, self.content["level"])
+        return fit_folder.figure_of_readings([one.drawn for one in self.series])
 
 
 def result_of(solution: Solution) -> FitResult:
@@ -114,7 +114,9 @@ def result_of(solution: Solution) -> FitResult:
     some = rows[:: max(1, len(rows) // _BANDS)]
     every, scales = list[FittedSeries](), list[FloatArray]()
     for i, likelihood in enumerate(posterior.likelihoods):
-        series, drawn = fitted_series(likelihood, best[i], x[some, i], solution.depths, random)
+        series, drawn = fitted_series(
+            likelihood, best[i], x[some, i], solution.depths, problem.settings.level, random
+        )
         every, scales = every + series, scales + drawn
     correlations = {
         f"{kind} of {one.title}": np.corrcoef(material[some].T, drawn)[-1]
@@ -128,7 +130,7 @@ def result_of(solution: Solution) -> FitResult:
         *doubts.of_tests(solution, parameters, best, x),
     ]  # fmt: skip
     found = (
-        *doubts.of_keys(parameters), *(check.doubt for check in checks if check.doubt is not None),
+        *doubts.of_keys(parameters), *(doubt for _, doubt in checks if doubt is not None),
         *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
         *doubts.of_units(problem.experiments),
     )  # fmt: skip
@@ -143,15 +145,12 @@ def result_of(solution: Solution) -> FitResult:
         "evidence_error": solution.evidence_error,
         "specimens": len({test.groups[0] for test in problem.experiments}),
         "process": process,
-        **_numbers_of_tests(every, scales),
+        **_numbers_of_tests(problem.experiments, every, scales),
         "histories": solution.histories,
         "failed_histories": solution.failed,
         "steps": solution.steps,
         "draws": {"effective": solution.effective, "stored": len(draws)},
-        "checks": [
-            {"name": name, "value": value if np.isfinite(value) else None, "limit": limit,
-             "pass": passed} for name, value, limit, passed, _ in checks
-        ],
+        "checks": [check for check, _ in checks],
         "doubts": [doubt.to_dict() for doubt in found],
         "warnings": [doubt.text for doubt in found],
         "alternatives": {},
@@ -190,8 +189,7 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     limits, over the noise and random wear; its freedom is the readings less nuisances without
     priors, and less keys, which count by how much the draws raise the squares. ``p_value`` is the
     mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384) for readings whose noise is given;
-    None where all is fitted, or has long tails. ``aic`` has nuisances and fitted noise integrated
-    out, as in the posterior, and lacks a constant of the readings.
+    None where all is fitted, or has long tails.
     """
     posterior, best = solution.posterior, solution.best[None]
     student = solution.problem.settings.loss == "student"
@@ -211,17 +209,15 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     at_mode = float(total[0])
     if student:  # the sd of outliers is larger in the others
         at_mode = sum(float(np.square(one.misfits).sum()) for one in every)
-    log_p = float(posterior.of_readings(best)[0])
     return {
         "chi2": at_mode, "n_data": sum(one.series.n for one in every),
         "degrees_of_freedom": max(float(freedom.sum()) - raised, 0.0), "p_value": p_value,
         "flagged": p_value is not None and p_value < doubts.IMPROBABLE,
-        "aic": 2.0 * posterior.dimension - 2.0 * log_p,
     }  # fmt: skip
 
 
 def _numbers_of_tests(
-    every: Sequence[FittedSeries], scales: Sequence[FloatArray]
+    tests: Sequence[Experiment], every: Sequence[FittedSeries], scales: Sequence[FloatArray]
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the numbers of series, their nuisances and measured inputs, by test.
 
@@ -235,14 +231,14 @@ def _numbers_of_tests(
         if len(values) < series.n:
             entry["censored"] = series.n - len(values)
         if series.sd_fitted:
-            entry["sd"] = float(one.sd[0]) / series.factor
+            entry["sd"] = float(one.drawn.sd[0])
         experiments.setdefault(one.test, {})[series.name] = entry
         found = {kind: _mean_and_sd(draws) for kind, draws in one.nuisances.items()}
         if GROWTH_TIME in found:
             found["thermal"]["time"] = found.pop(GROWTH_TIME)
         if found:
             nuisance.setdefault(one.test, {})[series.name] = found
-    left, tests = iter(scales), {one.test: one.experiment for one in every}.values()
+    left = iter(scales)
     for test, measured in [(one, measured) for one in tests for measured in one.inputs]:
         curve, readings = measured.curve(test.case), measured.readings(test.case)
         off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0

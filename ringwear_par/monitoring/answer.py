@@ -1,7 +1,7 @@
 """Answers to the readings of a running test: they depend on these alone, however they came.
 
-Whether readings are as expected, when they will be enough, and when a depth is reached; as numbers
-and in lines of text.
+Whether readings are as expected, when they will be enough, and when a depth is reached; as numbers,
+in lines of text and as a page, which a browser loads anew while the test runs.
 """
 
 import pickle
@@ -14,31 +14,35 @@ from scipy.special import fdtrc
 from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
+from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.pictures.panel import Axis, Points
 from ringwear_par.prediction.predict import doubts_of
-from ringwear_par.prediction.prediction import TimeTo
-from ringwear_par.results.key_numbers import time_words
+from ringwear_par.prediction.prediction import TimeTo, over_time
+from ringwear_par.reports import blocks
+from ringwear_par.results.key_numbers import time_unit, time_words
+from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: windows of a test in which readings are compared with what is expected of them, and the
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: share of the draws at edges of what was drawn before above which there is a doubt, and part of
-#: the box that is at its edges
-_AT_EDGES, _EDGE = 0.01, 0.97
 #: draws by which readings are predicted
 PREDICTED = 2000
 #: times at which the sd of a key is expected
 _TIMES = 9
 #: share of its time from which on a test has ended
 _ENDED = 0.999
+#: quantities of records that are drawn; s, after which a browser loads the page anew
+_DRAWN, _REFRESH = ("penetration", "approach", "torque"), 10
 
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
@@ -67,10 +71,9 @@ def answer_of(
     (test,), level = problem.experiments, problem.settings.level
     specimens, alarm = _followed(follower, test)
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
-    shares = np.array([0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level])
     # (keys, 3) before the test, and at the end of each window
     trace = [
-        np.quantile(follower.draws.values(x[:, : follower.m]), shares, axis=0).T.tolist()
+        np.quantile(follower.draws.values(x[:, : follower.m]), _shares(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
     keys = _keys(follower, problem, trace[0], trace[-1])
@@ -88,7 +91,7 @@ def answer_of(
         "depth": found and found._asdict(), "alarm": alarm,
         "trace": [[t, *ends[goal]] for t, ends in zip(times, trace, strict=True)],
         "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
-        "doubts": _doubts(follower, specimen, test, alarm),
+        "doubts": _doubts(follower, test, alarm),
     }  # fmt: skip
     return {**answer, "summary": _lines(answer, found)}, specimen
 
@@ -135,11 +138,10 @@ def _keys(
     return keys
 
 
-def _doubts(
-    follower: Follower, specimen: Specimen, test: Experiment, alarm: dict[str, float] | None
-) -> list[str]:
+def _doubts(follower: Follower, test: Experiment, alarm: dict[str, float] | None) -> list[str]:
     """Return what speaks against the numbers, an alarm first."""
-    doubts = [doubt.text for doubt in doubts_of(follower.draws, test.case, follower.of)]
+    found = [*doubts_of(follower.draws, test.case, follower.of), *of_units([test])]
+    doubts = [doubt.text for doubt in found]
     if alarm is not None:
         time = time_words(alarm["time"], test.case.time.end)
         text = (
@@ -148,12 +150,6 @@ def _doubts(
             "numbers are of the readings before"
         )
         doubts.insert(0, text)
-    inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
-    if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
-        doubts.append(
-            "this specimen differs from the earlier tests more than they let expect, so that "
-            "intervals may be too narrow; check that material and rig are the same"
-        )
     return doubts
 
 
@@ -272,3 +268,39 @@ def _lines(answer: Mapping[str, Any], depth: TimeTo | None) -> list[str]:
     if depth is not None:
         lines.append(f"  {depth.line(end)}")
     return lines
+
+
+def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -> blocks.Page:
+    """Return the page of an answer, by the draws of the specimen that it is made of."""
+    key, end, level = answer["goal"]["key"], answer["end"], f"{100 * answer['level']:g} %"
+    numbers, unit = users_numbers(answer["keys"][key])
+    time, *ends = np.array(answer["trace"]).T
+    axis, quantiles = Axis(f"{key} ({in_signs(unit or '1')})"), np.array(ends) / numbers["scale"]
+    panels = [over_time(axis, "by the readings until then", time, end, quantiles, {level: 0.3})]
+    known = [one for one in records(specimen.test.series) if one[0].quantity in _DRAWN]
+    for series, part in known[:1]:
+        steps = specimen.some(PREDICTED).v @ follower.columns[follower.places[series.name]].T
+        middle = follower.readings(specimen, specimen.test).mean(axis=0)
+        added = specimen.likelihood.nuisance_draws(middle[None])[0][0, part]
+        symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
+        quantiles = factor * np.quantile(steps, _shares(answer["level"]), axis=0)
+        axis, words = Axis(f"{series.quantity} ({symbol})", zero=True), "histories of this specimen"
+        panel = over_time(axis, words, follower.time, end, quantiles, {level: 0.3})
+        x, values = series.x / time_unit(end)[1], factor * (series.value - added)
+        points = [Points(x, values, "readings, less offset and drift")]
+        panels.append(replace(panel, points=points))
+    charts = [blocks.chart(panel, f"{panel.y.label}: {panel.title}") for panel in panels]
+    summary = [blocks.Lines([*map(with_signs, answer["summary"])])]
+    if answer["doubts"]:
+        summary.append(blocks.Lines([*map(with_signs, answer["doubts"])], warning=True))
+    sections = [
+        blocks.Section("Summary", summary),
+        blocks.Section("Over time", [blocks.Pictures(charts)]),
+    ]
+    refresh = 0 if answer["ended"] else _REFRESH
+    return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
+
+
+def _shares(level: float) -> tuple[float, float, float]:
+    """Return the probabilities of the ends of intervals, and of the median between them."""
+    return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level

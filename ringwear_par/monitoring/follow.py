@@ -20,9 +20,8 @@ from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import answer_of
+from ringwear_par.monitoring.answer import answer_of, page_of
 from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.predict import check_predicted, fit_draws
 from ringwear_par.reports.report import check_page, write_page
@@ -148,14 +147,6 @@ def read_running(source: Path, name: str = "") -> Problem:
     """
     problem = read_fit(source, running=name)
     (test,) = problem.experiments
-    faults = [
-        f"{source}: {legible(test.name)}: {series.file or series.name}: {assumption}; its unit "
-        "must be given"
-        for series in test.series
-        for assumption in series.assumptions
-    ]
-    if faults:
-        raise InputError(*faults)
     series = tuple(averaged(record, test.case.time.end) for record in test.series)
     return replace(problem, experiments=(replace(test, series=series),))
 

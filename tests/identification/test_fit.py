@@ -49,7 +49,6 @@ def test_two_tests_tell_both_numbers(found):
     assert (outcome["flagged"], other["flagged"]) == (False, True)
     assert codes(found) == []
     assert all(check["pass"] for check in outcome["checks"])
-    assert other["aic"] > outcome["aic"] + 10
     assert outcome["evidence"] > other["evidence"] + 10
     lines = found.summary().splitlines()
     (line,) = (line for line in lines if line.startswith("  archard: "))
@@ -220,7 +219,6 @@ def test_the_material_and_its_specimens(specimens):
     assert k["repeatability"]["s_r"] == pytest.approx(size["estimate"], rel=1e-3)
     assert k["repeatability"]["r"] == pytest.approx(2.8 * k["repeatability"]["s_r"])
     assert k["mean"] > k["estimate"]
-    assert k["specimens_for_10_percent"] > 3
     assert process["size"]["known"] == pytest.approx(SHARE**2 * process["depth"])
     assert outcome["p_value"] > 1e-3
     words = specimens.summary()

@@ -51,7 +51,7 @@ def test_what_is_written(folder, found):
     ]  # fmt: skip
     stored = json.loads((folder / "fit.json").read_text())
     assert stored == json.loads(json.dumps(found.to_dict()))
-    assert {"parameters", "covariance", "chi2", "p_value", "aic", "evidence", "process",
+    assert {"parameters", "covariance", "chi2", "p_value", "evidence", "process",
             "experiments", "nuisance", "inputs", "checks", "doubts", "alternatives",
             "draws"} <= {*stored}  # fmt: skip
     assert stored["warnings"] == [doubt["text"] for doubt in stored["doubts"]]
@@ -89,10 +89,12 @@ def test_replicas_are_about_as_far_off_as_the_readings(found):
     """And log p of the readings is about that of their residuals, and of bands that widen them."""
     emulated, x = found.solution.posterior.likelihoods[0], found.draws.of_test(0)
     logs, replicas = readings_of_draws(emulated, x, np.random.default_rng(0))
-    model, sd, band, residuals = (
-        np.concatenate([getattr(one, name) for one in found.series if one.test == "test 1"])
-        for name in ("model", "sd", "band", "residuals")
+    of_test = [one for one in found.series if one.test == "test 1"]
+    model, sd, band = (
+        np.concatenate([one.series.factor * getattr(one.drawn, name) for one in of_test])
+        for name in ("model", "sd", "band")
     )
+    residuals = np.concatenate([one.drawn.residuals for one in of_test])
     off = (replicas - model) / np.hypot(sd, band)
     assert abs(off.mean()) < 0.02
     assert off.std() == pytest.approx(1.0, abs=0.03)

@@ -61,7 +61,7 @@ def test_residuals_are_data_less_model(found):
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
     for axes, one in zip(panels, found.series, strict=False):
-        expected = (one.series.value - one.model) / one.series.sd
+        expected = (one.drawn.data - one.drawn.model) / one.drawn.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
         assert drawn == pytest.approx(expected)
 
@@ -89,7 +89,7 @@ def test_densities_and_pairs_are_those_of_the_draws(found):
 
 def test_long_tests_are_drawn_in_hours(found):
     """As results are; the numbers are those of the file, in s."""
-    series = found.series[0].drawn(0.95)
+    series = found.series[0].drawn
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, label in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
