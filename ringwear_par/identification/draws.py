@@ -25,12 +25,8 @@ from ringwear_par.schedules import mean, mean_of_product
 NEXT, MATERIAL = "next specimen", "material"
 #: walkers of the sampler are stored as so many chains
 CHAINS = 4
-#: conditions of a test and their units, and what keys each depends on
+#: conditions of a test and their units
 CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
-_SET_BY = {
-    "p": ("load.force", "load.pressure"), "V": ("load.omega",), "mu": ("contact.friction",),
-    "pV": ("load.force", "load.pressure", "load.omega"), "distance": ("load.omega", "time.end"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,18 +116,15 @@ def values_of(unknowns: FloatArray, logarithmic: BoolArray, bounds: FloatArray) 
 def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
     """Return means over a test of pressure, speed and their product, distance and friction, (5,).
 
-    At the mean radius; NaN of what a displacement or one of the keys sets.
+    At the mean radius; NaN of what a displacement sets, and of friction that is among the keys.
     """
     end, radius = case.time.end, float(case.line.area @ case.line.r / case.line.area.sum())
-    force, omega = case.load.force, case.load.omega
-    speed = radius * mean(omega, 0.0, end)
-    numbers = {"p": np.nan, "V": speed, "pV": np.nan, "distance": speed * end}
-    numbers["mu"] = mean(case.friction, 0.0, end)
-    if force is not None:
-        numbers["p"] = mean(force, 0.0, end) / case.area
-        numbers["pV"] = radius * mean_of_product(force, omega, 0.0, end) / case.area
-    unknown = [not {*keys}.isdisjoint(_SET_BY[name]) for name in CONDITIONS]
-    return np.where(unknown, np.nan, [numbers[name] for name in CONDITIONS])
+    speed, pressure, product = radius * mean(case.load.omega, 0.0, end), np.nan, np.nan
+    if (force := case.load.force) is not None:
+        pressure = mean(force, 0.0, end) / case.area
+        product = radius * mean_of_product(force, case.load.omega, 0.0, end) / case.area
+    friction = np.nan if "contact.friction" in keys else mean(case.friction, 0.0, end)
+    return np.array([pressure, speed, product, speed * end, friction])
 
 
 def law_names(case: Case) -> dict[str, str]:

@@ -114,12 +114,10 @@ def run_predict(
     comm: MPI.Intracomm,
     *,
     overrides: Sequence[str] = (),
-    of: str = "next specimen",
-    draws: int = 1000,
-    seed: int = 0,
     depth: float | None = None,
+    **how: Any,
 ) -> None:
-    """Predict and write the outcome to a folder. Collective on comm.
+    """Predict as ``predict`` does and write the outcome to a folder. Collective on comm.
 
     Parameters
     ----------
@@ -128,7 +126,7 @@ def run_predict(
 
     def compute() -> Prediction:
         whole = on_first_rank(comm, lambda: read_case(case, overrides))
-        return replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=depth)
+        return replace(predict(fit, whole, comm=comm, **how), depth=depth)
 
     into_folder(folder, FILES, comm, compute, "predict")
 
