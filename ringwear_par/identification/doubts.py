@@ -20,8 +20,8 @@ from ringwear_par.identification.fitted_tests import FittedSeries, scores_and_in
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
-#: sd above which readings do not belong to the others; the largest share of such readings
-_FAR, _SHARE = 6.0, 0.1
+#: sd above which readings do not belong to the others
+_FAR = 6.0
 #: p-values below which a model does not fit, tests do not agree, and residuals are no noise
 IMPROBABLE, _NO_CHANCE, _NO_NOISE = 1e-3, 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
@@ -101,7 +101,7 @@ def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     if not found:
         return []
     text = (
-        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
+        "readings trend away from the model (p = {}): they differ from it by more than noise, "
         "and intervals are too narrow"
     )
     doubt = _together("residuals-trend", [one for one in found if -one[0] < _NO_NOISE], text)
@@ -165,7 +165,7 @@ def _together(
 ) -> list[ValidityWarning]:
     """Return one doubt about all that was found: how bad, what and in which test; none without.
 
-    The sentence has the size of the worst one.
+    The sentence has the size of the worst one in place of {}.
     """
     if not found:
         return []
@@ -173,7 +173,8 @@ def _together(
     more = f" and {counted(rest, 'other')}" * bool(rest)
     tests = tuple(dict.fromkeys(test for _, _, test in found))
     values = {name: abs(size) for size, name, _ in found}
-    return [ValidityWarning(code, f"{name}{more}: {sentence.format(abs(size))}", (), tests, values)]
+    text = f"{name}{more}: {sentence.replace('{}', f'{abs(size):.2g}')}"
+    return [ValidityWarning(code, text, (), tests, values)]
 
 
 def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
@@ -226,10 +227,9 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     outliers, alike = [], []
     for one in every:
         series, residuals = one.series, one.drawn.residuals
-        far = np.where(one.drawn.censored * residuals < 0.0, 0.0, np.abs(residuals))
-        out = far[far > _FAR]  # but for limits that hold
-        few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
-        if len(out) and few and not series.sd_fitted:
+        holds = one.drawn.censored * residuals < 0.0  # of a limit
+        far = np.where(holds, 0.0, np.abs(residuals))
+        if far.max() > _FAR and not series.sd_fitted:
             axis, unit = ("r", "mm") if series.profile else ("time", "s")
             at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
             outliers.append((float(far.max()), one.title + at, one.test))
@@ -239,10 +239,10 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
             if lengths < _ALIKE:
                 alike.append((-lengths, one.title, one.test))
     far_off = (
-        "up to {:.3g} sd off the model: check units, and the side of limits; exclude leaves out an "
+        "up to {} sd off the model: check units, and the side of limits; exclude leaves out an "
         "edge or a stop"
     )
-    drift = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
+    drift = "{} time constants hardly tell a drift from thermal growth; give one a prior"
     return _together("outliers", outliers, far_off) + _together("drift-or-growth", alike, drift)
 
 
@@ -253,5 +253,4 @@ def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
             for sentence in series.assumptions + series.suspicions:
                 found[sentence].append((0.0, f"{series.name} ({test.name})", test.name))
-    escaped = {text.replace("{", "{{").replace("}", "}}"): of for text, of in found.items()}
-    return [d for text, of in escaped.items() for d in _together("assumed-unit", of, text)]
+    return [d for text, of in found.items() for d in _together("assumed-unit", of, text)]

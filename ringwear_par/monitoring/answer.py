@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from scipy.special import fdtrc
-from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.units import in_signs, with_signs
@@ -35,6 +34,8 @@ from ringwear_par.results.variables import DISPLAY_UNITS
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
+#: degrees of freedom of an sd that is known
+_KNOWN = 1e9
 #: draws by which readings are predicted
 PREDICTED = 2000
 #: times at which the sd of a key is expected
@@ -76,12 +77,30 @@ def answer_of(
         np.quantile(follower.draws.values(x[:, : follower.m]), _shares(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
-    keys = _keys(follower, problem, trace[0], trace[-1])
+    keys = {}
+    for parameter, unit, (first, _, last), (low, median, high) in zip(
+        problem.parameters, follower.draws.units, trace[0], trace[-1], strict=True
+    ):
+        entry = keys[parameter.key] = {
+            "unit": unit, "estimate": median, "interval": (low, high),
+            "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
+        }  # fmt: skip
+        if told := in_users_unit(parameter, entry, test.case):
+            entry["told"] = told
     rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
     goal = (*rates, 0)[0]
     key, reached = problem.keys[goal], keys[problem.keys[goal]]["percent"]
     time, less = time_to_goal(follower, specimen, goal, percent / reached)
     times = [0.0, *(float(one.test.times.max()) for one in specimens)]
+    doubts = [*doubts_of(follower.draws, test.case, follower.of), *of_units([test])]
+    texts = [doubt.text for doubt in doubts]
+    if alarm is not None:
+        texts.insert(
+            0,
+            f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} on "
+            f"(p = {alarm['probability']:.1g}): a transition, a layer worn through, or the rig; "
+            "all numbers are of the readings before",
+        )
     found = None
     if depth is not None:
         found = TimeTo.of(follower.time, penetrations(follower, specimen), depth, level)
@@ -91,7 +110,7 @@ def answer_of(
         "depth": found and found._asdict(), "alarm": alarm,
         "trace": [[t, *ends[goal]] for t, ends in zip(times, trace, strict=True)],
         "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
-        "doubts": _doubts(follower, test, alarm),
+        "doubts": texts,
     }  # fmt: skip
     return {**answer, "summary": _lines(answer, found)}, specimen
 
@@ -121,38 +140,6 @@ def _followed(
     return specimens, None
 
 
-def _keys(
-    follower: Follower, problem: Problem, before: list[list[float]], now: list[list[float]]
-) -> dict[str, dict[str, Any]]:
-    """Return entries of the keys, as in fit.json, with the interval before the test."""
-    keys = {}
-    for parameter, unit, (first, _, last), (low, median, high) in zip(
-        problem.parameters, follower.draws.units, before, now, strict=True
-    ):
-        entry = {
-            "unit": unit, "estimate": median, "interval": (low, high),
-            "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
-        }  # fmt: skip
-        converted = in_users_unit(parameter, entry, problem.experiments[0].case)
-        keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
-    return keys
-
-
-def _doubts(follower: Follower, test: Experiment, alarm: dict[str, float] | None) -> list[str]:
-    """Return what speaks against the numbers, an alarm first."""
-    found = [*doubts_of(follower.draws, test.case, follower.of), *of_units([test])]
-    doubts = [doubt.text for doubt in found]
-    if alarm is not None:
-        time = time_words(alarm["time"], test.case.time.end)
-        text = (
-            f"alarm: readings leave the predicted band from {time} on (p = "
-            f"{alarm['probability']:.1g}): a transition, a layer worn through, or the rig; all "
-            "numbers are of the readings before"
-        )
-        doubts.insert(0, text)
-    return doubts
-
-
 def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     """Return how probable new readings are that leave the model of old ones by so much.
 
@@ -168,14 +155,12 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     square = _least_squares(follower, both, after) - _least_squares(follower, old, before)
     if new == 0 or square <= 0.0:
         return 1.0
-    freedom = [
-        noise.freedom - follower.m
+    fitted = (
+        max(noise.freedom - follower.m, 1.0)
         for part, noise in zip(old.parts, old.noises, strict=True)
         if before.test.series[part[0]].sd_fitted
-    ]
-    if freedom:
-        return float(fdtrc(new, max(min(freedom), 1.0), square / new))
-    return float(chi2.sf(square, new))
+    )
+    return float(fdtrc(new, min(fitted, default=_KNOWN), square / new))
 
 
 def _least_squares(follower: Follower, likelihood: TestLikelihood, specimen: Specimen) -> float:

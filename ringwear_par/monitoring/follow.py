@@ -5,10 +5,11 @@ Answers are written, and printed, as text and as a page, whenever the test's fil
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
@@ -24,6 +25,7 @@ from ringwear_par.monitoring.answer import answer_of, page_of
 from ringwear_par.monitoring.follower import Follower
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.predict import check_predicted, fit_draws
+from ringwear_par.reports.blocks import Page
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.progress import StopSignals
 from ringwear_par.version import versions
@@ -88,7 +90,9 @@ def run_follow(
                 readings.tell(f"histories of {legible(name)}")
                 follower = Follower(known, of, followed, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
-            if _answer(follower, problem, to, depth, folder):
+            found, specimen = answer_of(follower, problem, to, depth)
+            _write(folder, found, page_of(found, follower, specimen))
+            if found["ended"]:
                 return
         if follower is None:
             raise StoppedError("stopped before the first answer")
@@ -120,22 +124,17 @@ def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Itera
         time.sleep(_PAUSE)
 
 
-def _answer(
-    follower: Follower, problem: Problem, percent: float, depth: float | None, folder: Path
-) -> bool:
-    """Write and print the answer to the readings so far; return whether the test has ended."""
-    answer, specimen = answer_of(follower, problem, percent, depth)
+def _write(folder: Path, answer: Mapping[str, Any], page: Page) -> None:
+    """Write and print an answer and its page."""
     contents = {**answer, "versions": versions()}
     write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, contents)})
     lines = [*answer["summary"], *warning_lines(answer["doubts"]), f"written: {folder / FOLLOW}"]
     try:
         check_page(folder / PAGE)
-        page = page_of(answer, follower, specimen)
         lines.append(f"written: {write_page(page, folder / PAGE)}")
     except InputError as error:
         lines += warning_lines([str(error)])
     print("\n".join(lines), flush=True)
-    return bool(answer["ended"])
 
 
 def read_running(source: Path, name: str = "") -> Problem:

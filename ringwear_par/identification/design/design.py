@@ -172,13 +172,12 @@ def design(
         information, space = informations(readings, before), problem.design
         good = np.isfinite(information).all(axis=(1, 2, 3))
         left = tuple(test for test, has in zip(tests, good, strict=True) if has)
-        shortest = min((test.seconds for test in left), default=np.inf)
-        if not left or shortest * space.experiments > space.time_limit:
+        found = _designs(problem, before, left, information[good]) if left else []
+        if len(found) < 2:
             raise ComputationError(
                 f"{problem.name}: design: {(~good).sum()} of {len(tests)} tests cannot be "
                 f"computed, which leaves too few: {readings.reason}"
             )
-        today, *designs = _designs(problem, before, left, information[good])
         values, scales, about = before.values.tolist(), {}, []
         for p, value in zip(problem.parameters, values, strict=True):
             scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
@@ -192,8 +191,8 @@ def design(
             "draws": 1 if np.isfinite(before.vague).all() else len(before.draws),
             "candidates": len(left), "failed": len(tests) - len(left),
             "reason": readings.reason or None, "histories": readings.count,
-            "measured_as": problem.experiments[0].name, "sd_scales": scales, "today": today,
-            "designs": designs, "versions": versions(),
+            "measured_as": problem.experiments[0].name, "sd_scales": scales, "today": found[0],
+            "designs": found[1:], "versions": versions(),
         }  # fmt: skip
         return DesignResult(content, left, before.sd_of_values(information[good]))
 

@@ -54,9 +54,8 @@ class Candidate(NamedTuple):
 
     @property
     def kind(self) -> tuple[float, ...]:
-        """What differs first: the load, or speed and duration where it does not vary."""
-        loads = tuple(self.keys[key] for key in LOADS if key in self.keys)
-        return loads or (self.keys.get("load.omega", 0.0), self.seconds)
+        """What is another test, but for its duration where anything else differs."""
+        return tuple(v for key, v in self.keys.items() if key != "time.end") or (self.seconds,)
 
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
