@@ -1,23 +1,21 @@
-"""The files of a fit: its readings with the model, its draws, and its figures."""
+"""The files of a fit: its readings with the model, its draws, and its figure."""
 
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import h5py
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from ringwear_par.files.folders import POSTERIOR, READINGS
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.draws import Draws, write_columns, write_draws
 from ringwear_par.identification.fitted_tests import FittedSeries, readings_of_draws
 from ringwear_par.identification.likelihood import EmulatedLikelihood
-from ringwear_par.pictures import fit_panels, key_panels
-from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
+from ringwear_par.pictures import fit_panels
+from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panel import Panel
-from ringwear_par.pictures.style import STYLE, NotebookFigure
 from ringwear_par.results.files import atomic_hdf5
 from ringwear_par.results.variables import SOFTWARE
 
@@ -33,11 +31,11 @@ _ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
 def write_readings(
-    path: Path, problem: Problem, every: Sequence[FittedSeries], versions: Mapping[str, str]
+    folder: Path, problem: Problem, every: Sequence[FittedSeries], versions: Mapping[str, str]
 ) -> None:
     """Write results.h5: the series of all tests, and their measured inputs. On one rank."""
     bodies = [body_of_wear(key) for key in problem.settings.process]
-    with atomic_hdf5(path) as file:
+    with atomic_hdf5(folder / READINGS) as file:
         file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
                            **versions})  # fmt: skip
         for number, one in enumerate(every, start=1):
@@ -57,7 +55,7 @@ def write_readings(
 
 
 def write_posterior(
-    path: Path,
+    folder: Path,
     draws: Draws,
     every: Sequence[FittedSeries],
     likelihoods: Sequence[EmulatedLikelihood],
@@ -78,7 +76,7 @@ def write_posterior(
         "series": [one.series.name for one in every for _ in one.series.x],
         "at": [x for one in every for x in one.series.x.tolist()],
     }
-    write_draws(path, draws, versions, places, readings)
+    write_draws(folder / POSTERIOR, draws, versions, places, readings)
 
 
 def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
@@ -107,43 +105,16 @@ def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -
 def figure_of_readings(drawn: Sequence[fit_panels.Series]) -> Figure:
     """Return the figure of data, model, its band, and residuals.
 
-    Series of one reading, such as weighings, share a strip below: a line each.
+    Of series of one reading, such as weighings, only where there are no others: a line each.
     """
     curves = [series for series in drawn if len(series.x) > 1]
-    single = [series for series in drawn if len(series.x) == 1]
-    across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
+    if not curves:
+        size = _NARROWEST, _LEGEND + _MARGIN + _ROW * len(drawn)
+        return panel_figure([[fit_panels.single_readings(drawn)]], size)
+    across = 2 if len(curves) == 4 else min(_COLUMNS, len(curves))
     rows: list[list[Panel]] = []
     for first in range(0, len(curves), across):
         beside = curves[first : first + across]
         rows += [[*map(fit_panels.readings, beside)], [*map(fit_panels.residuals, beside)]]
-    # two parts: labels of the strip make no panel above it narrower
-    parts = [(rows, 0.5 * _HEIGHT * len(rows))] if rows else []
-    if single:
-        strip = [[fit_panels.single_readings(single)]]
-        parts.append((strip, _MARGIN + _ROW * len(single)))
-    heights = [height + _LEGEND * (not number) for number, (_, height) in enumerate(parts)]
-    with matplotlib.rc_context(STYLE):
-        size = max(_WIDTH * across, _NARROWEST), sum(heights)
-        chart = NotebookFigure(figsize=size, layout="constrained")
-        places = chart.subfigures(len(parts), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for place, (panels, _) in zip(places, parts, strict=True):
-            shares = [5, 2] * (len(panels) // 2)
-            panel_grid(place, panels, shares, legend=place is places[0])
-        add_letters(chart)
-    return chart
-
-
-def figure_of_keys(outcome: Mapping[str, Any], draws: Draws) -> Figure:
-    """Return the draws of each key, and of pairs."""
-    by_key = dict(zip(draws.keys, draws.material.T, strict=True))
-    rows = key_panels.fitted_keys(outcome, by_key)
-    return panel_figure(rows, (0.8 + 3.2 * len(rows), 0.8 + 3.1 * len(rows)))
-
-
-def figure_of_specimens(outcome: Mapping[str, Any]) -> Figure:
-    """Return the values of specimens and material of each key that scatters."""
-    scattering = {k: entry for k, entry in outcome["parameters"].items() if "each" in entry}
-    widest = max(len(entry["each"]) for entry in scattering.values())
-    size = max(_NARROWEST, 0.7 * min(widest, 16)), _LEGEND + _HEIGHT * len(scattering)
-    panels = [[key_panels.specimens(k, entry, outcome["level"])] for k, entry in scattering.items()]
-    return panel_figure(panels, size)
+    size = max(_WIDTH * across, _NARROWEST), _LEGEND + 0.5 * _HEIGHT * len(rows)
+    return panel_figure(rows, size, [5, 2] * (len(rows) // 2))

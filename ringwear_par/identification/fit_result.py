@@ -1,8 +1,7 @@
 """The result of a fit: the numbers of fit.json, draws, and the tests as they were fitted."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +28,7 @@ from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
 #: files of its folder
-FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES, folders.ESTIMATES,
-         folders.SPECIMENS)  # fmt: skip
+FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
 #: draws of each chain that are kept; of all, how many tell bands and nuisances
 _KEPT, _BANDS = 500, 500
 
@@ -74,26 +72,15 @@ class FitResult(Outcome):
 
         A picture that cannot be drawn is left out, with a warning; see ``Outcome.save``.
         """
-        folder, content, software = Path(path), self.content, self.content["versions"]
-        figures: dict[str, Callable[[], Figure]] = {
-            folders.CURVES: self.plot,
-            folders.ESTIMATES: lambda: fit_folder.figure_of_keys(content, self.draws),
-            folders.SPECIMENS: lambda: fit_folder.figure_of_specimens(content),
-        }
-        contents: dict[str, Callable[[], bytes | None]] = {
-            name: partial(picture, figure, str(folder / name)) for name, figure in figures.items()
-        }
-        if not self.problem.scatters:
-            contents[folders.SPECIMENS] = lambda: None
-        contents[folders.FIT] = lambda: folders.json_bytes(content)
+        folder, software = Path(path), self.content["versions"]
+        likelihoods = self.solution.posterior.likelihoods
         with folders.new_files(folder, FILES, "fit"):
-            fit_folder.write_readings(
-                folder / folders.READINGS, self.problem, self.series, software
-            )
-            likelihoods = self.solution.posterior.likelihoods
-            fit_folder.write_posterior(
-                folder / folders.POSTERIOR, self.draws, self.series, likelihoods, software
-            )
+            fit_folder.write_readings(folder, self.problem, self.series, software)
+            fit_folder.write_posterior(folder, self.draws, self.series, likelihoods, software)
+            contents = {
+                folders.CURVES: lambda: picture(self.plot, str(folder / folders.CURVES)),
+                folders.FIT: lambda: folders.json_bytes(self.content),
+            }
             folders.write_contents(folder, contents)
 
     def plot(self) -> Figure:

@@ -7,10 +7,10 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
-from parts import figure_of_keys
 
 import ringwear_par as rw
 from ringwear_par.pictures import fit_panels, key_panels
+from ringwear_par.pictures.matplotlib import panel_figure
 
 
 @pytest.fixture(scope="module")
@@ -68,12 +68,13 @@ def test_residuals_are_data_less_model(found):
 
 def test_densities_and_pairs_are_those_of_the_draws(found):
     """With the interval's ends, one where there is one limit, and the verdict."""
-    check_texts(figure_of_keys(found.to_dict(), found.draws))
     draws, outcome = (
         dict(zip(found.draws.keys, found.draws.material.T, strict=True)),
         found.to_dict(),
     )
-    ((alone,), (pair, _)) = key_panels.fitted_keys(outcome, draws)
+    rows = key_panels.fitted_keys(outcome, draws)
+    check_texts(panel_figure(rows, (7.2, 7.0)))
+    ((alone,), (pair, _)) = rows
     low, high = outcome["parameters"]["wear.lower.k"]["interval"]
     assert [curve.x[0] for curve in alone.curves][:2] == pytest.approx([low, high])
     assert alone.labels == []
