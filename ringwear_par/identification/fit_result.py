@@ -1,10 +1,12 @@
-"""The result of a fit: the numbers of fit.json, draws, and the tests as they were fitted."""
+"""The result of a fit: the numbers of fit.json, draws, the tests as they were fitted; its files."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import chi2
@@ -12,25 +14,50 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
-from ringwear_par.identification import doubts, fit_folder
+from ringwear_par.identification import doubts
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Problem
-from ringwear_par.identification.draws import CHAINS, Draws, conditions_of, law_names, values_of
-from ringwear_par.identification.fitted_tests import (
-    FittedSeries,
-    fitted_series,
+from ringwear_par.identification.definition.problem import (
+    BASE,
+    GROWTH_TIME,
+    Experiment,
+    Problem,
+    body_of_wear,
 )
+from ringwear_par.identification.draws import (
+    CHAINS,
+    Draws,
+    conditions_of,
+    law_names,
+    values_of,
+    write_columns,
+    write_draws,
+)
+from ringwear_par.identification.fitted_tests import FittedSeries, fitted_series, readings_of_draws
 from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.summary import summary
+from ringwear_par.pictures import fit_panels
+from ringwear_par.pictures.matplotlib import panel_figure
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import picture
+from ringwear_par.results.files import atomic_hdf5
 from ringwear_par.results.result import Outcome
+from ringwear_par.results.variables import SOFTWARE
 from ringwear_par.version import versions
 
 #: files of its folder
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
 #: draws of each chain that are kept; of all, how many tell bands and nuisances
 _KEPT, _BANDS = 500, 500
+#: what is written of series, and what it means
+_WRITTEN = {
+    "data": "what was read", "sd": "noise of the data", "band": "sd of the model's reading",
+    "model": "the model's reading, with nuisances and random wear",
+}  # fmt: skip
+#: most columns of series; inches of readings with their residuals, and of a legend above all
+_COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
+#: inches of the strip of single readings: height of a row, margin around them, least width
+_ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +99,72 @@ class FitResult(Outcome):
 
         A picture that cannot be drawn is left out, with a warning; see ``Outcome.save``.
         """
-        folder, software = Path(path), self.content["versions"]
-        likelihoods = self.solution.posterior.likelihoods
+        folder = Path(path)
         with folders.new_files(folder, FILES, "fit"):
-            fit_folder.write_readings(folder, self.problem, self.series, software)
-            fit_folder.write_posterior(folder, self.draws, self.series, likelihoods, software)
+            self._write_readings(folder / folders.READINGS)
+            self._write_draws(folder / folders.POSTERIOR)
             contents = {
                 folders.CURVES: lambda: picture(self.plot, str(folder / folders.CURVES)),
                 folders.FIT: lambda: folders.json_bytes(self.content),
             }
             folders.write_contents(folder, contents)
 
+    def _write_readings(self, path: Path) -> None:
+        """Write results.h5: the series of all tests, and their measured inputs."""
+        problem = self.problem
+        bodies = [body_of_wear(key) for key in problem.settings.process]
+        with atomic_hdf5(path) as file:
+            file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
+                               **self.content["versions"]})  # fmt: skip
+            for number, one in enumerate(self.series, start=1):
+                name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
+                _write_series(file.create_group(name), one, bodies)
+            inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
+            for number, (test, measured) in enumerate(inputs, start=1):
+                group, unit = file.create_group(f"inputs/{number}"), measured.unit
+                group.attrs.update(experiment=test.name, key=measured.key, unit=unit)
+                time, readings = measured.series.x, measured.readings(test.case)
+                write_columns(group, {"reading": len(time)}, [
+                    ("time", time, "s", "time"),
+                    ("data", readings, unit, "reading, in the unit of the key"),
+                    ("curve", measured.curve(test.case)(time), unit, "the case's value"),
+                ])  # fmt: skip
+
+    def _write_draws(self, path: Path) -> None:
+        """Write draws.nc: draws, replicas of the readings by each, and log likelihoods."""
+        random, every = np.random.default_rng(0), self.series
+        logs, replicas = zip(*(
+            readings_of_draws(likelihood, self.draws.of_test(i), random)
+            for i, likelihood in enumerate(self.solution.posterior.likelihoods)
+        ), strict=True)  # fmt: skip
+        readings = {
+            "observed_data": np.concatenate([one.series.value for one in every]),
+            "posterior_predictive": np.hstack(replicas), "log_likelihood": np.hstack(logs),
+        }  # fmt: skip
+        places = {
+            "test": [one.test for one in every for _ in one.series.x],
+            "series": [one.series.name for one in every for _ in one.series.x],
+            "at": [x for one in every for x in one.series.x.tolist()],
+        }
+        write_draws(path, self.draws, self.content["versions"], places, readings)
+
     def plot(self) -> Figure:
-        """Return the figure of data, model, its band and residuals."""
-        return fit_folder.figure_of_readings([one.drawn for one in self.series])
+        """Return the figure of data, model, its band and residuals.
+
+        Of series of one reading, such as weighings, only where there are no others: a line each.
+        """
+        drawn = [one.drawn for one in self.series]
+        curves = [series for series in drawn if len(series.x) > 1]
+        if not curves:
+            size = _NARROWEST, _LEGEND + _MARGIN + _ROW * len(drawn)
+            return panel_figure([[fit_panels.single_readings(drawn)]], size)
+        across = 2 if len(curves) == 4 else min(_COLUMNS, len(curves))
+        rows: list[list[Panel]] = []
+        for first in range(0, len(curves), across):
+            beside = curves[first : first + across]
+            rows += [[*map(fit_panels.readings, beside)], [*map(fit_panels.residuals, beside)]]
+        size = max(_WIDTH * across, _NARROWEST), _LEGEND + 0.5 * _HEIGHT * len(rows)
+        return panel_figure(rows, size, [5, 2] * (len(rows) // 2))
 
 
 def result_of(solution: Solution) -> FitResult:
@@ -167,6 +246,29 @@ def _draws(solution: Solution, rows: Any, values: FloatArray, of_tests: FloatArr
         tuple(test.name for test in tests), tuple(test.groups[0] for test in tests),
         law_names(tests[0].case), np.array([conditions_of(test.case, keys) for test in tests]),
     )  # fmt: skip
+
+
+def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
+    """Write data, model, band and residuals of a series; ``bodies`` are those of random wear."""
+    series, drawn, factor = one.series, one.drawn, one.series.factor
+    group.attrs.update(
+        experiment=one.test, series=series.name, quantity=series.quantity,
+        file=series.file, data_unit=series.unit, contact=drawn.edges,
+    )  # fmt: skip
+    base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
+    columns = [
+        (at[0], series.x, at[1], "where or when it was read"),
+        ("residual", drawn.residuals, "1", "data less model over its noise, white"),
+        *((name, factor * getattr(drawn, name), base, of) for name, of in _WRITTEN.items()),
+    ]
+    for body, excess, sd in zip(bodies, one.excess.T, one.excess_sd.T, strict=True):
+        meaning = "mean depth worn beyond that of the law, by the readings"
+        columns.append((f"excess_{body}", excess, "mm", meaning))
+        columns.append((f"excess_{body}_sd", sd, "mm", f"sd of excess_{body}"))
+    if drawn.censored.any():
+        meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+        columns.append(("censored", drawn.censored.astype(float), "1", meaning))
+    write_columns(group, {"reading": series.n}, columns)
 
 
 def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:

@@ -97,9 +97,9 @@ def predict(
 
     whole, known, values, sizes = on_first_rank(comm, drawn)
     results = _histories(whole, known.keys, values, sizes, seed, comm)
-    left = [*results]
+    left, name = [*results], str(fit) if isinstance(fit, Path | str) else "fit"
     return Prediction(
-        of, str(fit) if isinstance(fit, Path | str) else "fit", whole.stored_text, seed,
+        {"of": of, "fit": name, "case": whole.stored_text, "seed": seed},
         dict(zip(known.keys, known.units, strict=True)), values[left],
         doubts_of(known, whole, of), results[left[0]].histories["time"],
         {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},

@@ -78,12 +78,9 @@ class TimeTo(NamedTuple):
 class Prediction(Outcome):
     """Histories of a case, one a draw."""
 
-    #: "next specimen", "material" or the name of a specimen; what messages call the fit
-    of: str
-    fit: str
-    #: TOML text of the case
-    case: str
-    seed: int
+    #: ``of`` whom it is ("next specimen", "material", a specimen), what messages call the ``fit``,
+    #: the TOML text of the ``case``, and the ``seed`` of the draws
+    about: Mapping[str, Any]
     #: of the fit, with their units
     keys: Mapping[str, str]
     #: (draws, m) of the keys
@@ -128,16 +125,14 @@ class Prediction(Outcome):
         """Return the contents of prediction.json."""
         depth = None if self.depth is None else self.time_to(self.depth)._asdict()
         return {
-            "of": self.of, "whose": self._whose,
-            "fit": self.fit, "draws": len(self.values), "failed": self.failed,
-            "seed": self.seed, "keys": dict(self.keys),
-            "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
+            **self.about, "whose": self._whose, "draws": len(self.values), "failed": self.failed,
+            "keys": dict(self.keys), "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
             "quantiles": {
                 name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}
                 for name in self.histories
             },
             "depth": depth, "doubts": [doubt.to_dict() for doubt in self.doubts],
-            "case": self.case, "summary": self.summary().splitlines(), "versions": versions(),
+            "summary": self.summary().splitlines(), "versions": versions(),
         }  # fmt: skip
 
     def summary(self) -> str:
@@ -156,7 +151,7 @@ class Prediction(Outcome):
         if self.depth is not None:
             lines.append(self.time_to(self.depth).line(end))
         failed = f"; {self.failed} more have no history" * bool(self.failed)
-        lines.append(f"{len(self.values)} draws of {legible(self.fit)}{failed}")
+        lines.append(f"{len(self.values)} draws of {legible(self.about['fit'])}{failed}")
         return "\n".join([*lines, *warning_lines(doubt.text for doubt in self.doubts)])
 
     def plot(self) -> "Figure":
@@ -173,7 +168,7 @@ class Prediction(Outcome):
         folder = Path(path)
         with folders.new_files(folder, FILES, "predict"):
             with atomic_hdf5(folder / folders.DRAWS) as file:
-                file.attrs.update({"software": SOFTWARE, **self._attributes})
+                file.attrs.update({"software": SOFTWARE, **self.about, **versions()})
                 for variable, values in self._variables():
                     write_variable(file, variable, values)
             contents = {
@@ -189,18 +184,13 @@ class Prediction(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        return to_dataset([*self._variables()], self._attributes, ["time"])
+        return to_dataset([*self._variables()], {**self.about, **versions()}, ["time"])
 
     @property
     def _whose(self) -> str:
         # without scatter, a fit knows of no other specimens than its own
         alone = any(doubt.code == "no-scatter" for doubt in self.doubts)
-        return "the specimens tested" if alone else self.of
-
-    @property
-    def _attributes(self) -> dict[str, Any]:
-        about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
-        return {**about, **versions()}
+        return "the specimens tested" if alone else str(self.about["of"])
 
     def _variables(self) -> Iterator[tuple[Variable, Any]]:
         """Yield all variables with their values, the dimensions first."""
