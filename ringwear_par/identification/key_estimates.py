@@ -4,7 +4,7 @@ Keys are in the case's units, in those of their users, and as specific wear rate
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -238,7 +238,7 @@ def direction(
 # -- units of users ------------------------------------------------------------------------------
 
 
-def _scaled(entry: Entry, scale: float, names: Sequence[str] = _NUMBERS) -> dict[str, Any]:
+def _scaled(entry: Entry, scale: float) -> dict[str, Any]:
     """Return numbers of a key's entry in fit.json in another unit, which is ``scale``."""
 
     def converted(number: Any) -> Any:
@@ -246,7 +246,7 @@ def _scaled(entry: Entry, scale: float, names: Sequence[str] = _NUMBERS) -> dict
             return [converted(entry) for entry in number]
         return None if number is None else number / scale
 
-    return {name: converted(entry[name]) for name in names if name in entry}
+    return {name: converted(entry[name]) for name in _NUMBERS if name in entry}
 
 
 def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
@@ -277,14 +277,14 @@ def specific_wear_rate(
     (share, *others) = {_share(test.case, body) for test in problem.experiments}
     if share is None or others:
         return None
-    rate = {"unit": SPECIFIC, **_scaled(entries[key], _RATE / share, _NUMBERS[:3])}
+    rate = {"unit": SPECIFIC, **_scaled(entries[key], _RATE / share)}
     if share != 1.0:
         rate["mu"] = share
     if share != 1.0 and _FRICTION in entries:
-        rate["mu"], tail = float(entries[_FRICTION]["estimate"]), 0.5 - 0.5 * problem.settings.level
+        rate["mu"] = float(entries[_FRICTION]["estimate"])
         k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
-        low, median, high = np.quantile(k * mu / _RATE, [tail, 0.5, 1.0 - tail]).tolist()
-        rate |= {"estimate": median, "sd": float((k * mu / _RATE).std()), "interval": [low, high]}
+        rates = k * mu / _RATE
+        rate |= {**_quantiles(rates, problem.settings.level), "sd": float(rates.std())}
     rate[CUSTOMARY] = rate["estimate"] * _RATE / factor(CUSTOMARY, None)
     return rate
 
