@@ -130,7 +130,7 @@ def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
 def law_names(case: Case) -> dict[str, str]:
     """Return the names of the laws of bodies and layers that wear, or their files, by table."""
     laws = case.laws_by_table.items()
-    return {table: law.name if law.code is None else law.code.called for table, law in laws}
+    return {table: Path(law.code.called if law.code else law.name).name for table, law in laws}
 
 
 def write_draws(
