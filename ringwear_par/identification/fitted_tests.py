@@ -67,8 +67,8 @@ def fitted_series(
     level : of bands.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    model, excess, _, _ = _with_all(likelihood, emulated.emulator(best[None]))
-    models, worn, values, times = _with_all(likelihood, emulated.emulator(x), random)
+    model, excess, _, _ = with_all(likelihood, emulated.emulator(best[None]))
+    models, worn, values, times = with_all(likelihood, emulated.emulator(x), random)
     band, excess, excess_sd = models.std(axis=0), excess[0] * depths, worn.std(axis=0) * depths
     fitted = []
     for number, (series, part) in enumerate(records(test.series)):
@@ -89,7 +89,7 @@ def fitted_series(
     return fitted, [drawn for (i, _), drawn in values.items() if i < 0]
 
 
-def _with_all(
+def with_all(
     likelihood: TestLikelihood, readings: FloatArray, random: np.random.Generator | None = None
 ) -> tuple[FloatArray, FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
     """Return readings (P, n) of the model with nuisances and random wear: draws, or the best ones.
@@ -115,7 +115,7 @@ def readings_of_draws(
     Both are (s, n), at unknowns (s, m) of draws; nuisances and random wear are drawn beside them.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    models = _with_all(likelihood, emulated.emulator(x), random)[0]
+    models = with_all(likelihood, emulated.emulator(x), random)[0]
     sd, side = likelihood.setting.sd, sides(test)
     off = (likelihood.data - models) / sd
     logs, replicas = log_ndtr(-side * off), np.empty_like(models)

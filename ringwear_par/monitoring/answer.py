@@ -18,6 +18,7 @@ from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.doubts import of_units
+from ringwear_par.identification.fitted_tests import with_all
 from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import sides
@@ -34,8 +35,8 @@ from ringwear_par.results.variables import DISPLAY_UNITS
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: degrees of freedom of an sd that is known
-_KNOWN = 1e9
+#: degrees of freedom of an sd that is known; mm, sd of what is not read
+_KNOWN, _UNREAD = 1e9, 1e6
 #: draws by which readings are predicted
 PREDICTED = 2000
 #: times at which the sd of a key is expected
@@ -212,23 +213,17 @@ def _to_end(series: Series, end: float) -> Series:
 def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
     """Return this specimen's penetration (draws, steps) to the end of the test, mm.
 
-    Wear that is random is a Gaussian process here, whose past the readings tell.
+    Wear that is random goes on from what the readings tell of it, as if nothing were read later.
     """
     time, approach = follower.time, follower.columns[follower.places["approach"]]
-    some, old, random = specimen.some(PREDICTED), specimen.likelihood, np.random.default_rng(1)
-    depths, zero = some.v @ (approach - approach[0]).T, np.zeros(len(time))
-    for body, (slope, worn) in enumerate(old.setting.clocks):
-        (noise,), share, most = old.noises, specimen.shares[body], follower.most[body]
-        clock = follower.setting.clocks[body][1][: len(time)]
-        readings = follower.readings(some, old.test)
-        node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
-        across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
-        rows = np.column_stack([across, noise.data(old.data)[:, None] - readings.T])
-        data = np.repeat([0.0, 1.0], [len(time), len(some.v)])
-        along = noise.grams(rows, data, node)[: len(time)]
-        variance = (share * most) ** 2 * np.minimum.outer(clock, clock) - along[:, : len(time)]
-        depths += random.multivariate_normal(zero, variance, len(some.v), method="eigh")
-        depths += along[:, len(time) :].T
+    some, test = specimen.some(PREDICTED), specimen.test
+    depths: FloatArray = some.v @ (approach - approach[0]).T
+    if follower.setting.clocks:
+        later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
+        both = replace(test, series=(*test.series, later))
+        likelihood, random = follower.likelihood_like(specimen, both), np.random.default_rng(1)
+        _, worn, _, _ = with_all(likelihood, follower.readings(some, both), random)
+        depths += worn[:, test.n :] @ follower.most
     return depths
 
 

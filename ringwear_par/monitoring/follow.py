@@ -81,7 +81,7 @@ def run_follow(
     def answer() -> None:
         """Write and print an answer whenever the files have changed."""
         follower, frame = None, None
-        for problem in _changes(source, name, once, signals):
+        for problem in _changes(source, name, signals):
             (test,) = problem.experiments
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
@@ -92,7 +92,7 @@ def run_follow(
                 frame = problem.text, test.case.text, fixed
             found, specimen = answer_of(follower, problem, to, depth)
             _write(folder, found, page_of(found, follower, specimen))
-            if found["ended"]:
+            if once or found["ended"]:
                 return
         if follower is None:
             raise StoppedError("stopped before the first answer")
@@ -102,15 +102,13 @@ def run_follow(
         readings.lead(answer)
 
 
-def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Iterator[Problem]:
+def _changes(source: Path, name: str, signals: StopSignals) -> Iterator[Problem]:
     """Yield the problem of a running test, again whenever its files have changed."""
     seen, warned = None, ""
     while not signals.received:
         try:
             problem = read_running(source, name)
         except InputError as error:  # it is being written, or was replaced
-            if once:
-                raise
             if (reason := reason_of(error)) != warned:
                 log.warning("%s; the last answer stays until that changes", reason)
             warned = reason
@@ -119,8 +117,6 @@ def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Itera
             if files != seen:
                 seen = files
                 yield problem
-            if once:
-                return
         time.sleep(_PAUSE)
 
 
