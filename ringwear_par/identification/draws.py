@@ -5,7 +5,7 @@ ArviZ opens too.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import Problem, body_of_wear, reflected
+from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.results.files import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable, axis
 from ringwear_par.schedules import mean, mean_of_product
@@ -25,6 +26,8 @@ from ringwear_par.schedules import mean, mean_of_product
 NEXT, MATERIAL = "next specimen", "material"
 #: walkers of the sampler are stored as so many chains
 CHAINS = 4
+#: name of the scatter of a key between groups
+_SCATTER = "scatter of {} between {}"
 #: conditions of a test and their units
 CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
 
@@ -158,7 +161,17 @@ def write_draws(
             "specimens": draws.specimens, "laws": dict(draws.laws),
             "conditions": draws.conditions.tolist(),
         })  # fmt: skip
-        write_columns(group, {**by_chain, "test": len(draws.specimens)}, _columns(draws))
+        units = dict(zip(draws.keys, draws.units, strict=True))
+        material = zip(draws.keys, draws.material.T, strict=True)
+        write_columns(group, {**by_chain, "test": len(draws.specimens)}, [
+            *((key, values, units[key], "value of the material") for key, values in material),
+            *((f"{key} of tests", values, units[key], "value of the test's specimen")
+              for key, values in draws.tests.items()),
+            *((_SCATTER.format(key, PLURALS[level]), sd, "1", "standard deviation of the unknown")
+              for (key, level), sd in draws.scatter.items()),
+            *((f"process.{key}", sizes, "mm", "size of the random wear")
+              for key, sizes in draws.process.items()),
+        ])  # fmt: skip
         for name, array in readings.items():
             axes = {**(by_chain if array.ndim > 1 else {}), "place": array.shape[-1]}
             group = file.create_group(name)
@@ -166,19 +179,6 @@ def write_draws(
             for place, entries in places.items():
                 meaning = f"{place} of the reading"
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
-
-
-def _columns(draws: Draws) -> Iterator[tuple[str, FloatArray, str, str]]:
-    """Yield name, values (s, ...), unit and meaning of each variable of the posterior."""
-    units = dict(zip(draws.keys, draws.units, strict=True))
-    for (key, unit), values in zip(units.items(), draws.material.T, strict=True):
-        yield key, values, unit, "value of the material"
-    for key, of_tests in draws.tests.items():
-        yield f"{key} of tests", of_tests, units[key], "value of the test's specimen"
-    for (key, level), sd in draws.scatter.items():
-        yield _scatter_name(key, level), sd, "1", "standard deviation of the unknown"
-    for key, sizes in draws.process.items():
-        yield f"process.{key}", sizes, "mm", "size of the random wear"
 
 
 def write_columns(
@@ -194,10 +194,6 @@ def write_columns(
         count = values.ndim + ("chain" in axes)
         variable = Variable(name, names[:count], unit, meaning)
         write_variable(group, variable, values.reshape(sizes[:count]))
-
-
-def _scatter_name(key: str, level: str) -> str:
-    return f"scatter of {key} between {'batches' if level == 'batch' else f'{level}s'}"
 
 
 def read_draws(path: Path) -> Draws:
@@ -219,7 +215,8 @@ def read_draws(path: Path) -> Draws:
             tuple(about["keys"]), tuple(about["units"]), np.array(about["logarithmic"]),
             np.array(about["bounds"]), np.stack([*map(columns, about["keys"])], axis=-1),
             {key: columns(f"{key} of tests") for key in about["tests"]},
-            {(key, level): columns(_scatter_name(key, level)) for key, level in about["scatter"]},
+            {(key, level): columns(_SCATTER.format(key, PLURALS[level]))
+             for key, level in about["scatter"]},
             {key: columns(f"process.{key}") for key in about["process"]},
             tuple(about["experiments"]), tuple(about["specimens"]), about["laws"],
             np.array(about["conditions"], dtype=float),
