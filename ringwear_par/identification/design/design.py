@@ -4,7 +4,7 @@ The information of tests adds, nuisances of each being projected out, so that m 
 candidate, at a few draws of what is known, tell what every combination of them would.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -222,12 +222,13 @@ def _designs(
     while rows.shape[1] < count:
         best = rows[scores(rows).argmax()]
         rows = np.column_stack([np.tile(best, (len(every), 1)), every])
-    chosen, found = dict[Hashable, list[int]]({(): []}), scores(rows)
+    # designs that differ in more than durations, where anything else varies
+    kinds = [[v for key, v in t.keys.items() if key != "time.end"] or [t.seconds] for t in tests]
+    chosen, found = dict[str, list[int]]({"": []}), scores(rows)
     for row in np.argsort(-found, kind="stable").tolist():
         if len(chosen) > _LISTED or found[row] == -np.inf:
             break
-        kind = tuple(sorted(tests[i].kind for i in rows[row]))
-        chosen.setdefault(kind, rows[row].tolist())
+        chosen.setdefault(str(sorted(kinds[i] for i in rows[row])), rows[row].tolist())
     entries = []
     for some in chosen.values():
         told, together = information[some].sum(axis=0), [tests[i] for i in some]

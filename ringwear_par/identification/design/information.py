@@ -52,11 +52,6 @@ class Candidate(NamedTuple):
         """How long it takes."""
         return self.experiment.case.time.end
 
-    @property
-    def kind(self) -> tuple[float, ...]:
-        """What is another test, but for its duration where anything else differs."""
-        return tuple(v for key, v in self.keys.items() if key != "time.end") or (self.seconds,)
-
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values.
