@@ -132,9 +132,8 @@ def of_tests(solution: Solution, entries: Entries, best: FloatArray, x: FloatArr
         if spread[-1] >= _NO_CHANCE:
             of, more, spread = "different", ", or another law", heterogeneity(score, a, 0 * equal)
         q, freedom, scatter, p = spread
-        own, times, unit = float(np.median(a**-0.5)), 1.0, unit_of_key(problem, key)
-        if parameter.log:
-            times, unit = 100.0, " %"
+        own = float(np.median(a**-0.5))
+        times, unit = (100.0, " %") if parameter.log else (1.0, unit_of_key(problem, key))
         text = (
             f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
             f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "

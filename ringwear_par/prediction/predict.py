@@ -165,9 +165,9 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
         )
         doubts.append(ValidityWarning("no-scatter", text))
     # NaN of what the fit does not know, or the case does not have
-    tests = [f.reduce(draws.conditions) for f in (np.fmin, np.fmax)]
-    numbers = np.stack([conditions_of(case, draws.keys), *tests], axis=1).tolist()
-    for (name, unit), (value, *ends) in zip(CONDITIONS.items(), numbers, strict=True):
+    tests = [f.reduce(draws.conditions).tolist() for f in (np.fmin, np.fmax)]
+    numbers = zip(CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), *tests, strict=True)
+    for (name, unit), value, *ends in numbers:
         # a shorter test is a part of a longer one
         least = 0.0 if name == "distance" else ends[0] * (1.0 - _SAME)
         if value < least or value > ends[1] * (1.0 + _SAME):
