@@ -9,12 +9,10 @@ from typing import Any
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.writing import atomic_write, check_writable
 
-#: files of a fit: its outcome, which is written last, its readings and two figures
-FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
+#: files of a fit: its outcome, which is written last, its readings and their figure
+FIT, READINGS, CURVES = "fit.json", "results.h5", "fit.png"
 #: file of a fit: draws of what it knows, which ArviZ opens
 POSTERIOR = "draws.nc"
-#: file of a fit with scatter: the values of specimens
-SPECIMENS = "specimens.png"
 #: files of a design: its outcome, which is written last, and bars of the best tests
 DESIGN, BARS = "design.json", "design.png"
 #: files of measured tests: their numbers, which are written last, a row a test, the records
@@ -147,7 +145,7 @@ def refuse_drawn(folder: Path) -> None:
     InputError : it is one; with the pictures that are there.
     """
     for outcome, kind, pictures in (
-        (FIT, "fit", f"pictures {CURVES} and {ESTIMATES} are"),
+        (FIT, "fit", f"picture {CURVES} is"),
         (DESIGN, "design", f"picture {BARS} is"),
         (MEASURE, "measurement", f"picture {RECORDS} is"),
         (PREDICTION, "prediction", f"picture {BAND} is"),

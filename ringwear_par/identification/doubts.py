@@ -6,7 +6,7 @@ A doubt of a kind is one sentence, however many tests or series it is about.
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import chi2
@@ -14,14 +14,14 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import Experiment, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fitted_tests import FittedSeries
+from ringwear_par.identification.fitted_tests import FittedSeries, scores_and_information
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
-#: sd above which readings do not belong to the others; the largest share of such readings
-_FAR, _SHARE = 6.0, 0.1
+#: sd above which readings do not belong to the others
+_FAR = 6.0
 #: p-values below which a model does not fit, tests do not agree, and residuals are no noise
 IMPROBABLE, _NO_CHANCE, _NO_NOISE = 1e-3, 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
@@ -37,42 +37,42 @@ _FEW = 2
 _EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
 
 Entries = Mapping[str, Mapping[str, Any]]
+Doubt = ValidityWarning | None
+Check = tuple[dict[str, Any], Doubt]
 
 
-class Check(NamedTuple):
-    """Something that was checked of a fit."""
+def check(
+    name: str, value: float, must: Literal["<", ">"], limit: float, doubt: Doubt = None
+) -> Check:
+    """Return what fit.json has of a check, and a doubt where it is not passed.
 
-    name: str
-    value: float
-    limit: float
-    passed: bool
-    #: where it was not passed and the table of checks does not tell all
-    doubt: ValidityWarning | None = None
+    No doubt where the table of checks tells all.
+    """
+    passed = bool(value < limit if must == "<" else value > limit)
+    known = value if np.isfinite(value) else None
+    entry = {"name": name, "value": known, "must": must, "limit": limit, "pass": passed}
+    return entry, None if passed else doubt
 
 
 def of_computation(solution: Solution) -> list[Check]:
     """Return what tells whether draws are those of the posterior."""
-    emulated, stepped, effective = solution.emulator_error, solution.step_error, solution.effective
-    share, doubt = solution.failed / max(solution.histories, 1), None
-    if share > _FAILED:
-        text = (
-            f"{solution.failed} of {solution.histories} histories failed, and count as "
-            f"improbable: {solution.reason}"
-        )
-        doubt = ValidityWarning("histories-failed", text)
-    off = None
-    if not np.isfinite(stepped):
-        text = (
-            "draws still reach the ends of where emulators are known: intervals may be too narrow; "
-            "narrower bounds or priors would help"
-        )
-        off = ValidityWarning("not-settled", text)
+    failed, settled = solution.failed / max(solution.histories, 1), np.isfinite(solution.step_error)
+    lost = ValidityWarning(
+        "histories-failed",
+        f"{solution.failed} of {solution.histories} histories failed, and count as improbable: "
+        f"{solution.reason}",
+    )
+    off = ValidityWarning(
+        "not-settled",
+        "draws still reach the ends of where emulators are known: intervals may be too narrow; "
+        "narrower bounds or priors would help",
+    )
     step = "time steps halved: sd of the change of log p"
     return [
-        Check("emulators: sd of the error of log p", emulated, _EMULATED, emulated < _EMULATED),
-        Check(step, stepped, _STEPPED, stepped < _STEPPED, off),
-        Check("share of histories that failed", share, _FAILED, share < _FAILED, doubt),
-        Check("effective number of draws", effective, _EFFECTIVE, effective > _EFFECTIVE),
+        check("emulators: sd of the error of log p", solution.emulator_error, "<", _EMULATED),
+        check(step, solution.step_error, "<", _STEPPED, None if settled else off),
+        check("share of histories that failed", failed, "<", _FAILED, lost),
+        check("effective number of draws", solution.effective, ">", _EFFECTIVE),
     ]
 
 
@@ -85,8 +85,8 @@ def of_squares(goodness: Mapping[str, Any]) -> list[Check]:
         f"{goodness['degrees_of_freedom']:.4g} degrees of freedom (p = {p:.1g}); the noise is "
         "larger than its sd, or the wear law is another"
     )
-    doubt = ValidityWarning("does-not-fit", text) if goodness["flagged"] else None
-    return [Check("chi2: probability of one so large", p, IMPROBABLE, doubt is None, doubt)]
+    doubt = ValidityWarning("does-not-fit", text)
+    return [check("chi2: probability of one so large", p, ">", IMPROBABLE, doubt)]
 
 
 def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
@@ -101,24 +101,25 @@ def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     if not found:
         return []
     text = (
-        "readings trend away from the model (p = {:.1g}): they differ from it by more than noise, "
+        "readings trend away from the model (p = {}): they differ from it by more than noise, "
         "and intervals are too narrow"
     )
     doubt = _together("residuals-trend", [one for one in found if -one[0] < _NO_NOISE], text)
     name, least = "residuals in time: least probability that they are noise", -max(found)[0]
-    return [Check(name, least, _NO_NOISE, not doubt, *doubt)]
+    return [check(name, least, ">", _NO_NOISE, *doubt)]
 
 
-def of_tests(
-    problem: Problem, entries: Entries, scores: FloatArray, information: FloatArray
-) -> list[Check]:
+def of_tests(solution: Solution, entries: Entries, best: FloatArray, x: FloatArray) -> list[Check]:
     """Return what tells whether tests agree on the key of a rate on which they agree least.
 
-    Parameters
-    ----------
-    scores, information : (tests, m) slopes of log p of each test at the mode, minus its curvatures.
+    By unknowns of tests: (tests, m) of the mode, and draws (s, tests, m).
     """
-    tests, found = problem.experiments, []
+    problem, tests, found = solution.problem, solution.problem.experiments, []
+    shares = np.median(solution.posterior.shares(solution.theta), axis=0)
+    scores, information = np.stack([
+        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
+        for i, likelihood in enumerate(solution.posterior.likelihoods)
+    ], axis=1)  # fmt: skip
     for parameter, score, a in zip(problem.parameters, scores.T, information.T, strict=True):
         key = parameter.key
         informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()
@@ -131,9 +132,8 @@ def of_tests(
         if spread[-1] >= _NO_CHANCE:
             of, more, spread = "different", ", or another law", heterogeneity(score, a, 0 * equal)
         q, freedom, scatter, p = spread
-        own, times, unit = float(np.median(a**-0.5)), 1.0, unit_of_key(problem, key)
-        if parameter.log:
-            times, unit = 100.0, " %"
+        own = float(np.median(a**-0.5))
+        times, unit = (100.0, " %") if parameter.log else (1.0, unit_of_key(problem, key))
         text = (
             f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
             f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "
@@ -142,13 +142,9 @@ def of_tests(
         values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
         names = tuple(tests[i].name for i in informed)
         doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
-        found.append((q, key, p, None if p >= _NO_CHANCE else doubt))
-    if not found:
-        return []
+        found.append((q, check(f"tests agree on {key}: probability", p, ">", _NO_CHANCE, doubt)))
     # one that scatters makes the others look as if they did
-    _, key, p, failure = max(found, key=lambda one: one[0])
-    name = f"tests agree on {key}: probability"
-    return [Check(name, p, _NO_CHANCE, failure is None, failure)]
+    return [one for _, one in sorted(found, key=lambda one: one[0])[-1:]]
 
 
 def heterogeneity(
@@ -168,7 +164,7 @@ def _together(
 ) -> list[ValidityWarning]:
     """Return one doubt about all that was found: how bad, what and in which test; none without.
 
-    The sentence has the size of the worst one.
+    The sentence has the size of the worst one in place of {}.
     """
     if not found:
         return []
@@ -176,7 +172,8 @@ def _together(
     more = f" and {counted(rest, 'other')}" * bool(rest)
     tests = tuple(dict.fromkeys(test for _, _, test in found))
     values = {name: abs(size) for size, name, _ in found}
-    return [ValidityWarning(code, f"{name}{more}: {sentence.format(abs(size))}", (), tests, values)]
+    text = f"{name}{more}: {sentence.replace('{}', f'{abs(size):.2g}')}"
+    return [ValidityWarning(code, text, (), tests, values)]
 
 
 def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
@@ -228,11 +225,10 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     """Return doubts about single readings, and about growth that may be drift."""
     outliers, alike = [], []
     for one in every:
-        series, residuals = one.series, one.residuals
-        far = np.where(one.censored * residuals < 0.0, 0.0, np.abs(residuals))
-        out = far[far > _FAR]  # but for limits that hold
-        few = len(out) <= max(1, _SHARE * series.n) or out @ out > 0.5 * (far @ far)
-        if len(out) and few and not series.sd_fitted:
+        series, residuals = one.series, one.drawn.residuals
+        holds = one.drawn.censored * residuals < 0.0  # of a limit
+        far = np.where(holds, 0.0, np.abs(residuals))
+        if far.max() > _FAR and not series.sd_fitted:
             axis, unit = ("r", "mm") if series.profile else ("time", "s")
             at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
             outliers.append((float(far.max()), one.title + at, one.test))
@@ -242,10 +238,10 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
             if lengths < _ALIKE:
                 alike.append((-lengths, one.title, one.test))
     far_off = (
-        "up to {:.3g} sd off the model: check units, and the side of limits; exclude leaves out an "
+        "up to {} sd off the model: check units, and the side of limits; exclude leaves out an "
         "edge or a stop"
     )
-    drift = "{:.2g} time constants hardly tell a drift from thermal growth; give one a prior"
+    drift = "{} time constants hardly tell a drift from thermal growth; give one a prior"
     return _together("outliers", outliers, far_off) + _together("drift-or-growth", alike, drift)
 
 
@@ -256,5 +252,4 @@ def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
             for sentence in series.assumptions + series.suspicions:
                 found[sentence].append((0.0, f"{series.name} ({test.name})", test.name))
-    escaped = {text.replace("{", "{{").replace("}", "}}"): of for text, of in found.items()}
-    return [d for text, of in escaped.items() for d in _together("assumed-unit", of, text)]
+    return [d for text, of in found.items() for d in _together("assumed-unit", of, text)]

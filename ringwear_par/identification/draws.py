@@ -4,9 +4,8 @@ Predictions, plans and running tests read only these, from a fit or from its ``d
 ArviZ opens too.
 """
 
-import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,23 +14,22 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.law import Law
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.problem import reflected
+from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.problem import Problem, body_of_wear, reflected
+from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.results.files import atomic_hdf5, reading, write_variable
-from ringwear_par.results.variables import SOFTWARE, Variable
+from ringwear_par.results.variables import SOFTWARE, Variable, axis
 from ringwear_par.schedules import mean, mean_of_product
 
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"
 #: walkers of the sampler are stored as so many chains
 CHAINS = 4
-#: conditions of a test and their units, and what keys each depends on
+#: name of the scatter of a key between groups
+_SCATTER = "scatter of {} between {}"
+#: conditions of a test and their units
 CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
-_SET_BY = {
-    "p": ("load.force", "load.pressure"), "V": ("load.omega",), "mu": ("contact.friction",),
-    "pV": ("load.force", "load.pressure", "load.omega"), "distance": ("load.omega", "time.end"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,88 +43,97 @@ class Draws:
     logarithmic: BoolArray
     #: (m, 2) of the values
     bounds: FloatArray
-    #: (s, m) unknowns of the material
+    #: (s, m) values of the material
     material: FloatArray
-    #: (s, tests, m) unknowns of the tests
-    tests: FloatArray
+    #: (s, tests) values of the tests, by key, of those that scatter
+    tests: Mapping[str, FloatArray]
     #: (s,) standard deviations of unknowns between groups, by key and "specimen", "batch" or "lab"
     scatter: Mapping[tuple[str, str], FloatArray]
-    #: (s, 2) mm, size of the random wear of lower and upper; 0: none
-    process: FloatArray
-    #: of the tests, by name
+    #: (s,) mm, sizes of the random wear of bodies that have it, by "wear.lower" and "wear.upper"
+    process: Mapping[str, FloatArray]
+    #: names of the tests, and of their specimens
+    experiments: tuple[str, ...]
     specimens: tuple[str, ...]
     #: names of the laws by table of keys, see ``law_names``
     laws: Mapping[str, str]
     #: (tests, 5), see ``conditions_of``
     conditions: FloatArray
-    #: how many independent draws they are worth
-    effective: float
 
     def __len__(self) -> int:
         return len(self.material)
 
+    def of_test(self, number: int) -> FloatArray:
+        """Return the unknowns (s, m) of a test."""
+        x = self.material.copy()
+        for key, values in self.tests.items():
+            x[:, self.keys.index(key)] = values[:, number]
+        return self._unknowns(x)
+
     def unknowns(
         self, of: str, count: int, random: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
-        """Return unknowns (count, m), and sizes of the random wear (count, 2) mm.
+        """Return unknowns (count, m), and sizes of the random wear (count, 2) mm; 0: none.
 
         Parameters
         ----------
         of : "next specimen", of a new batch and laboratory; "material"; or the name of a specimen.
         """
-        rows = random.choice(len(self), count, replace=count > len(self))
-        if of in self.specimens:
-            return self.tests[rows, self.specimens.index(of)], self.process[rows]
-        x = self.material[rows]
+        rows, sizes = random.choice(len(self), count, count > len(self)), np.zeros((count, 2))
+        x = self._unknowns(self.material[rows])
         if of == MATERIAL:
-            return x, np.zeros((count, len(BODIES)))
+            return x, sizes
+        for key, found in self.process.items():
+            sizes[:, BODIES.index(body_of_wear(key))] = found[rows]
+        if of in self.specimens:
+            return self.of_test(self.specimens.index(of))[rows], sizes
         for (key, _), sd in self.scatter.items():
             x[:, self.keys.index(key)] += sd[rows] * random.standard_normal(count)
-        return reflected(x, *self.unknown_bounds), self.process[rows]
+        return reflected(x, *self._unknowns(self.bounds.T)), sizes
 
-    @property
-    def unknown_bounds(self) -> FloatArray:
-        """Smallest and largest unknowns, (2, m)."""
-        bounds: FloatArray = self.bounds.T.copy()
-        bounds[:, self.logarithmic] = np.log(bounds[:, self.logarithmic])
-        return bounds
+    def _unknowns(self, values: FloatArray) -> FloatArray:
+        """Return the unknowns of values (..., m)."""
+        unknowns = np.array(values)
+        unknowns[..., self.logarithmic] = np.log(unknowns[..., self.logarithmic])
+        return unknowns
 
     def values(self, unknowns: FloatArray) -> FloatArray:
         """Return the values of unknowns (..., m), within the bounds to the last bit."""
-        values = np.array(unknowns)
-        values[..., self.logarithmic] = np.exp(values[..., self.logarithmic])
-        return np.clip(values, *self.bounds.T)
+        return values_of(unknowns, self.logarithmic, self.bounds)
+
+    def check_keys(self, problem: Problem) -> None:
+        """Refuse a problem of other keys. Raises InputError."""
+        if problem.keys != self.keys:
+            raise InputError(
+                f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(self.keys)}, "
+                "as the fit of earlier tests"
+            )
+
+
+def values_of(unknowns: FloatArray, logarithmic: BoolArray, bounds: FloatArray) -> FloatArray:
+    """Return the values of unknowns (..., m), within bounds (m, 2) to the last bit."""
+    values = np.array(unknowns)
+    values[..., logarithmic] = np.exp(values[..., logarithmic])
+    return np.clip(values, *bounds.T)
 
 
 def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
     """Return means over a test of pressure, speed and their product, distance and friction, (5,).
 
-    At the mean radius; NaN of what a displacement or one of the keys sets.
+    At the mean radius; NaN of what a displacement sets, and of friction that is among the keys.
     """
     end, radius = case.time.end, float(case.line.area @ case.line.r / case.line.area.sum())
-    force, omega = case.load.force, case.load.omega
-    speed = radius * mean(omega, 0.0, end)
-    numbers = {"p": np.nan, "V": speed, "pV": np.nan, "distance": speed * end}
-    numbers["mu"] = mean(case.friction, 0.0, end)
-    if force is not None:
-        numbers["p"] = mean(force, 0.0, end) / case.area
-        numbers["pV"] = radius * mean_of_product(force, omega, 0.0, end) / case.area
-    unknown = [not {*keys}.isdisjoint(_SET_BY[name]) for name in CONDITIONS]
-    return np.where(unknown, np.nan, [numbers[name] for name in CONDITIONS])
+    speed, pressure, product = radius * mean(case.load.omega, 0.0, end), np.nan, np.nan
+    if (force := case.load.force) is not None:
+        pressure = mean(force, 0.0, end) / case.area
+        product = radius * mean_of_product(force, case.load.omega, 0.0, end) / case.area
+    friction = np.nan if "contact.friction" in keys else mean(case.friction, 0.0, end)
+    return np.array([pressure, speed, product, speed * end, friction])
 
 
 def law_names(case: Case) -> dict[str, str]:
-    """Return the names of the laws of bodies and layers that wear, by their tables.
-
-    User laws: the name and the first 12 hexadecimal digits of the source's SHA-256.
-    """
-    return {table: _law_name(law) for table, law in case.laws_by_table.items()}
-
-
-def _law_name(law: Law) -> str:
-    if law.code is None or not law.code.is_file:
-        return law.name
-    return f"{law.name} {hashlib.sha256(law.code.source.encode()).hexdigest()[:12]}"
+    """Return the names of the laws of bodies and layers that wear, or their files, by table."""
+    laws = case.laws_by_table.items()
+    return {table: Path(law.code.called if law.code else law.name).name for table, law in laws}
 
 
 def write_draws(
@@ -149,11 +156,22 @@ def write_draws(
         group = file.create_group("posterior")
         group.attrs["fit"] = json.dumps({
             "keys": draws.keys, "units": draws.units, "logarithmic": draws.logarithmic.tolist(),
-            "bounds": draws.bounds.tolist(), "scatter": [*draws.scatter],
+            "bounds": draws.bounds.tolist(), "tests": [*draws.tests], "scatter": [*draws.scatter],
+            "process": [*draws.process], "experiments": draws.experiments,
             "specimens": draws.specimens, "laws": dict(draws.laws),
-            "conditions": draws.conditions.tolist(), "effective": draws.effective,
+            "conditions": draws.conditions.tolist(),
         })  # fmt: skip
-        write_columns(group, {**by_chain, "test": len(draws.specimens)}, _columns(draws))
+        units = dict(zip(draws.keys, draws.units, strict=True))
+        material = zip(draws.keys, draws.material.T, strict=True)
+        write_columns(group, {**by_chain, "test": len(draws.specimens)}, [
+            *((key, values, units[key], "value of the material") for key, values in material),
+            *((f"{key} of tests", values, units[key], "value of the test's specimen")
+              for key, values in draws.tests.items()),
+            *((_SCATTER.format(key, PLURALS[level]), sd, "1", "standard deviation of the unknown")
+              for (key, level), sd in draws.scatter.items()),
+            *((f"process.{key}", sizes, "mm", "size of the random wear")
+              for key, sizes in draws.process.items()),
+        ])  # fmt: skip
         for name, array in readings.items():
             axes = {**(by_chain if array.ndim > 1 else {}), "place": array.shape[-1]}
             group = file.create_group(name)
@@ -163,21 +181,6 @@ def write_draws(
                 write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
 
 
-def _columns(draws: Draws) -> Iterator[tuple[str, FloatArray, str, str]]:
-    """Yield name, values (s, ...), unit and meaning of each variable of the posterior."""
-    material, tests = draws.values(draws.material), draws.values(draws.tests)
-    scattering = {key for key, _ in draws.scatter}
-    for j, (key, unit) in enumerate(zip(draws.keys, draws.units, strict=True)):
-        yield key, material[:, j], unit, "value of the material"
-        if key in scattering:
-            yield f"{key} of tests", tests[..., j], unit, "value of the test's specimen"
-    for (key, level), sd in draws.scatter.items():
-        yield _scatter_name(key, level), sd, "1", "standard deviation of the unknown"
-    for body, sizes in zip(BODIES, draws.process.T, strict=True):
-        if sizes.any():
-            yield f"process.wear.{body}", sizes, "mm", "size of the random wear"
-
-
 def write_columns(
     group: h5py.Group,
     axes: Mapping[str, int],
@@ -185,17 +188,12 @@ def write_columns(
 ) -> None:
     """Write axes by their lengths, and variables along the first ones of them, or all."""
     for name, size in axes.items():
-        axis = Variable(name, (name,), "1", f"number of the {name}", integer=True)
-        write_variable(group, axis, np.arange(size))
+        write_variable(group, axis(name), np.arange(size))
     names, sizes = tuple(axes), tuple(axes.values())
     for name, values, unit, meaning in columns:
         count = values.ndim + ("chain" in axes)
         variable = Variable(name, names[:count], unit, meaning)
         write_variable(group, variable, values.reshape(sizes[:count]))
-
-
-def _scatter_name(key: str, level: str) -> str:
-    return f"scatter of {key} between {'batches' if level == 'batch' else f'{level}s'}"
 
 
 def read_draws(path: Path) -> Draws:
@@ -209,25 +207,17 @@ def read_draws(path: Path) -> Draws:
         group = file["posterior"]
         about = json.loads(group.attrs["fit"])
 
-        def columns(name: str, *otherwise: FloatArray) -> FloatArray:
-            if name not in group and otherwise:
-                return otherwise[0]
+        def columns(name: str) -> FloatArray:
             values: FloatArray = group[name][()]
             return values.reshape(-1, *values.shape[2:])
 
-        material, tests = [columns(key) for key in about["keys"]], []
-        for key, values in zip(about["keys"], material, strict=True):
-            alike = np.repeat(values[:, None], len(about["specimens"]), axis=1)
-            tests.append(columns(f"{key} of tests", alike))
-        logarithmic, none = np.array(about["logarithmic"]), np.zeros(len(material[0]))
-        of_material, of_tests = np.stack(material, axis=-1), np.stack(tests, axis=-1)
-        for values in (of_material, of_tests):
-            values[..., logarithmic] = np.log(values[..., logarithmic])
         return Draws(
-            tuple(about["keys"]), tuple(about["units"]), logarithmic, np.array(about["bounds"]),
-            of_material, of_tests,
-            {(key, level): columns(_scatter_name(key, level)) for key, level in about["scatter"]},
-            np.stack([columns(f"process.wear.{body}", none) for body in BODIES], axis=1),
-            tuple(about["specimens"]), about["laws"], np.array(about["conditions"], dtype=float),
-            about["effective"],
+            tuple(about["keys"]), tuple(about["units"]), np.array(about["logarithmic"]),
+            np.array(about["bounds"]), np.stack([*map(columns, about["keys"])], axis=-1),
+            {key: columns(f"{key} of tests") for key in about["tests"]},
+            {(key, level): columns(_SCATTER.format(key, PLURALS[level]))
+             for key, level in about["scatter"]},
+            {key: columns(f"process.{key}") for key in about["process"]},
+            tuple(about["experiments"]), tuple(about["specimens"]), about["laws"],
+            np.array(about["conditions"], dtype=float),
         )  # fmt: skip

@@ -8,7 +8,6 @@ from scipy.special import log_ndtr
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
-    Experiment,
     Series,
     records,
 )
@@ -22,20 +21,12 @@ _STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class FittedSeries:
-    """A series as it was fitted; arrays (n,) are in the program's units."""
+    """A series as it was fitted."""
 
-    experiment: Experiment
     series: Series
-    #: noise: as given, or as fitted
-    sd: FloatArray
-    #: of the mode, with nuisances and random wear
-    model: FloatArray
-    #: sd of the model's readings among the draws
-    band: FloatArray
-    #: data less model over the noise, white; of limits the limit less the model
-    residuals: FloatArray
-    #: -1 where the true value is at most the reading, 1 where at least, else 0
-    censored: FloatArray
+    #: noise, the model at the mode with nuisances and random wear, its band, and residuals, white;
+    #: of limits the limit less the model
+    drawn: fit_panels.Series
     #: (n, bodies) mm, depth worn by chance beyond that of the law, and its sd
     excess: FloatArray
     excess_sd: FloatArray
@@ -45,7 +36,7 @@ class FittedSeries:
     @property
     def test(self) -> str:
         """The name of its test."""
-        return self.experiment.name
+        return self.drawn.experiment
 
     @property
     def title(self) -> str:
@@ -55,16 +46,7 @@ class FittedSeries:
     @property
     def misfits(self) -> FloatArray:
         """Residuals of its readings that are no limits."""
-        return self.residuals[self.censored == 0.0]
-
-    def drawn(self, level: float) -> fit_panels.Series:
-        """Return it as figures have it, in the unit of its readings."""
-        series, scale = self.series, 1.0 / self.series.factor
-        return fit_panels.Series(
-            self.test, series.name, series.quantity, series.unit, series.x, scale * series.value,
-            scale * self.model, scale * self.sd, scale * self.band, self.residuals, level,
-            self.experiment.case.contact, self.censored.astype(int),
-        )  # fmt: skip
+        return self.drawn.residuals[self.drawn.censored == 0]
 
 
 def fitted_series(
@@ -72,6 +54,7 @@ def fitted_series(
     best: FloatArray,
     x: FloatArray,
     depths: FloatArray,
+    level: float,
     random: np.random.Generator,
 ) -> tuple[list[FittedSeries], list[FloatArray]]:
     """Return the series of a test, and draws (s,) of its inputs' calibrations, in their sd.
@@ -81,31 +64,32 @@ def fitted_series(
     best : (m,) unknowns of the mode.
     x : (s, m) of draws.
     depths : (bodies,) mm, see ``Solution``.
+    level : of bands.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    model, excess, _, _ = _with_all(likelihood, emulated.emulator(best[None]))
-    models, worn, values, times = _with_all(likelihood, emulated.emulator(x), random)
+    model, excess, _, _ = with_all(likelihood, emulated.emulator(best[None]))
+    models, worn, values, times = with_all(likelihood, emulated.emulator(x), random)
     band, excess, excess_sd = models.std(axis=0), excess[0] * depths, worn.std(axis=0) * depths
     fitted = []
     for number, (series, part) in enumerate(records(test.series)):
         # the loss "student" has made the sd of outliers larger
         larger = float((likelihood.setting.sd[part] / series.sd).min())
         sd = (larger if series.sd_fitted else 1.0) * series.sd
-        off = (series.value - model[0, part]) / sd
+        off, factor = (series.value - model[0, part]) / sd, series.factor
         nuisances = {kind: drawn for (i, kind), drawn in values.items() if i == number}
         if number in times:
             nuisances[GROWTH_TIME] = times[number]
-        fitted.append(
-            FittedSeries(
-                test, series, sd, model[0, part], band[part],
-                whitened(series, off) if series.censored is None else off, sides(test)[part],
-                excess[part], excess_sd[part], nuisances,
-            )
+        drawn = fit_panels.Series(
+            test.name, series.name, series.quantity, series.unit, series.x, series.value / factor,
+            model[0, part] / factor, sd / factor, band[part] / factor,
+            whitened(series, off) if series.censored is None else off, level, test.case.contact,
+            sides(test)[part].astype(int),
         )  # fmt: skip
+        fitted.append(FittedSeries(series, drawn, excess[part], excess_sd[part], nuisances))
     return fitted, [drawn for (i, _), drawn in values.items() if i < 0]
 
 
-def _with_all(
+def with_all(
     likelihood: TestLikelihood, readings: FloatArray, random: np.random.Generator | None = None
 ) -> tuple[FloatArray, FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
     """Return readings (P, n) of the model with nuisances and random wear: draws, or the best ones.
@@ -131,7 +115,7 @@ def readings_of_draws(
     Both are (s, n), at unknowns (s, m) of draws; nuisances and random wear are drawn beside them.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    models = _with_all(likelihood, emulated.emulator(x), random)[0]
+    models = with_all(likelihood, emulated.emulator(x), random)[0]
     sd, side = likelihood.setting.sd, sides(test)
     off = (likelihood.data - models) / sd
     logs, replicas = log_ndtr(-side * off), np.empty_like(models)

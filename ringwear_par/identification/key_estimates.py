@@ -1,13 +1,21 @@
-"""What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts."""
+"""What draws say of the fitted keys, of their scatter and of random wear: numbers and verdicts.
+
+Keys are in the case's units, in those of their users, and as specific wear rates.
+"""
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import base_unit
+from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
@@ -16,8 +24,8 @@ from ringwear_par.identification.definition.problem import (
 )
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
-from ringwear_par.identification.users_units import in_users_unit, specific_wear_rate
 
+Entry = Mapping[str, Any]
 Verdict = Literal["identified", "at bound", "not identified"]
 #: a key is at its bound where the density there is more than this share of the largest
 _AT_BOUND = 0.25
@@ -33,8 +41,10 @@ VAGUE = 0.5
 _MENTIONED = 0.15
 #: correlation of a vague key with a nuisance that is to blame
 _TOGETHER = 0.9
-#: half width, relative, of the interval of the material that specimens are counted for; most
-_WANTED, _MOST_SPECIMENS = 0.1, 10_000
+#: mm3/(N m) in 1/MPa
+_RATE, _FRICTION = factor(SPECIFIC, None), "contact.friction"
+#: numbers of a key's entry: of a running test the interval before too
+_NUMBERS = ("estimate", "sd", "interval", "next", "before")
 
 
 def judged(
@@ -74,28 +84,27 @@ def prior_sd(parameter: FittedParameter) -> float:
 def key_entries(
     solution: Solution,
     material: FloatArray,
-    own_sds: FloatArray,
-    some: FloatArray,
-    nuisances: dict[str, FloatArray],
+    values: FloatArray,
+    of_tests: FloatArray,
+    correlations: Mapping[str, FloatArray],
 ) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each key.
 
     Parameters
     ----------
     material : (s, m) unknowns, a draw for each of the solution's.
-    own_sds : (tests, m) of the unknowns by each test's own readings, given the others.
-    some : (t, m) of them, beside which nuisances were drawn.
-    nuisances : draws (t,) by their names.
+    values : (s, m) of them.
+    of_tests : (s, tests, m) values of the tests.
+    correlations : (m,) of the unknowns with nuisances, by their names.
     """
-    problem, posterior = solution.problem, solution.posterior
+    problem, case = solution.problem, solution.problem.experiments[0].case
     level, units, entries = problem.settings.level, units_of(problem), {}
-    scatterings = {s.key: s for s in posterior.scatterings}
-    values = np.where([p.log for p in problem.parameters], np.exp(material), material)
+    scatterings = {s.key: s for s in solution.posterior.scatterings}
     for j, parameter in enumerate(problem.parameters):
         low, high = map(parameter.unknown, parameter.bounds)
         verdict, ends = judged(material[:, j], low, high, prior_sd(parameter), level)
         entry = entries[parameter.key] = {
-            "estimate": parameter.value(float(np.median(material[:, j]))),
+            "estimate": float(np.median(values[:, j])),
             "sd": float(values[:, j].std()),
             "interval": [None if end is None else parameter.value(end) for end in ends],
             "verdict": verdict,
@@ -104,13 +113,11 @@ def key_entries(
             "unit": units[parameter.key],
         }
         if verdict == "not identified":
-            entry["direction"] = direction(problem, np.atleast_2d(np.cov(material.T)), j, {
-                name: float(np.corrcoef(some[:, j], draws)[0, 1])
-                for name, draws in nuisances.items() if draws.std() > 0.0
-            })  # fmt: skip
+            blamed = {name: float(of[j]) for name, of in correlations.items()}
+            entry["direction"] = direction(problem, np.atleast_2d(np.cov(material.T)), j, blamed)
         if j in scatterings:
-            own = float(np.median(own_sds[:, j]))
-            entry.update(_scatter(solution, scatterings[j], parameter, material[:, j], own))
+            s, tests = scatterings[j], of_tests[..., j]
+            entry.update(_scatter(solution, s, parameter, material[:, j], tests))
     tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
     for row, parameter in zip(tied, problem.parameters, strict=True):
         entry = entries[parameter.key]
@@ -118,7 +125,7 @@ def key_entries(
         bounded = [key for key in others if entries[key]["verdict"] == "at bound"]
         if entry["verdict"] == "identified" and bounded:
             entry["conditional_on"] = bounded
-        if told := in_users_unit(parameter, entry, problem.experiments[0].case):
+        if told := in_users_unit(parameter, entry, case):
             entry["told"] = told
         if rate := specific_wear_rate(problem, parameter.key, entries, values):
             entry["specific_wear_rate"] = rate
@@ -126,11 +133,17 @@ def key_entries(
 
 
 def _scatter(
-    solution: Solution, s: Scattering, parameter: FittedParameter, material: FloatArray, own: float
+    solution: Solution,
+    s: Scattering,
+    parameter: FittedParameter,
+    material: FloatArray,
+    tests: FloatArray,
 ) -> dict[str, Any]:
-    """Return what fit.json tells of a key that scatters, by the unknown of the material (s,)."""
-    theta, problem = solution.theta, solution.problem
-    level, spread = problem.settings.level, s.spread(theta)
+    """Return what fit.json tells of a key that scatters.
+
+    By the unknown of the material (s,), and values of the tests (s, tests).
+    """
+    theta, level, spread = solution.theta, solution.problem.settings.level, s.spread(solution.theta)
     scatter: dict[str, dict[str, Any]] = {}
     for (name, size), same in zip(s.levels.items(), s.same, strict=True):
         scatter[name] = {"known": size.known}
@@ -139,72 +152,56 @@ def _scatter(
             scatter[name] = {**_quantiles(size(theta), level), "verdict": verdict}
         scatter[name]["groups"] = len(np.unique(same, axis=0))
     following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
-    bounds = map(np.array, map(parameter.unknown, parameter.bounds))
-    following = reflected(following, *bounds)
-    entry: dict[str, Any] = {
-        "of": "material", "scatter": scatter,
-        "next": _quantiles(following, level, parameter)["interval"],
-        "each": {},
-    }  # fmt: skip
+    following = reflected(following, *map(np.array, s.bounds))
+    if parameter.log:
+        following = np.exp(following)
+    entry = {"of": "material", "scatter": scatter, "next": _quantiles(following, level)["interval"]}
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
-    total = float(np.median(spread))
+    total, place = float(np.median(spread)), min(map(GROUPS.index, s.levels))
     if "specimen" in s.levels:
         s_r = float(np.median(s.levels["specimen"](theta)))
         entry["repeatability"] = {"s_r": s_r, "r": 2.8 * s_r}
     if {*s.levels} != {"specimen"}:
         entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
-    place = min(map(GROUPS.index, s.levels))
-    for number, unknown in enumerate(theta[:, s.places].T):
-        name = problem.experiments[int(np.argmax(s.group == number))].groups[place]
-        sd = float((np.exp(unknown) if parameter.log else unknown).std())
-        entry["each"][name] = {**_quantiles(unknown, level, parameter), "sd": sd}
-    # the smallest number whose interval is narrow enough, by Student's t
-    wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
-    n = np.arange(2, _MOST_SPECIMENS)
-    reach = student_t.ppf(0.5 + 0.5 * level, n - 1) / np.sqrt(n)
-    enough = reach * math.hypot(total, own) <= wanted
-    entry["specimens_for_10_percent"] = int(n[enough.argmax()]) if enough.any() else None
+    entry["each"] = {
+        test.groups[place]: {**_quantiles(of, level), "sd": float(of.std())}
+        for test, of in zip(solution.problem.experiments, tests.T, strict=True)
+    }
     return entry
 
 
-def _quantiles(
-    draws: FloatArray, level: float, parameter: FittedParameter | None = None
-) -> dict[str, Any]:
-    """Return the median of draws (s,), those of unknowns as values, and their interval."""
+def _quantiles(draws: FloatArray, level: float) -> dict[str, Any]:
+    """Return the median of draws (s,) and their interval."""
     tail = 0.5 * (1.0 - level)
-    found = np.quantile(draws, [tail, 0.5, 1.0 - tail]).tolist()
-    low, median, high = found if parameter is None else map(parameter.value, found)
+    low, median, high = np.quantile(draws, [tail, 0.5, 1.0 - tail]).tolist()
     return {"estimate": median, "interval": [low, high]}
 
 
 def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each body whose wear is random."""
-    problem, posterior, entries = solution.problem, solution.posterior, {}
-    level, depths = problem.settings.level, solution.depths.tolist()
-    shares = posterior.shares(solution.theta)
+    problem, level, entries = solution.problem, solution.problem.settings.level, {}
+    shares = solution.posterior.shares(solution.theta)
     records = [s for test in problem.experiments for s in test.series if not s.profile]
     most = max((record.n for record in records), default=0)
     for (key, process), share, depth in zip(
-        problem.settings.process.items(), shares.T, depths, strict=True
+        problem.settings.process.items(), shares.T, solution.depths.tolist(), strict=True
     ):
         between = depth / (most - 1) if most > _SEVERAL else None
-        entry: dict[str, Any] = {"depth": depth, "verdict": "identified"}
-        entries[key] = entry
-        entry["between_readings"] = between
+        entries[key] = {"depth": depth, "verdict": "identified", "between_readings": between}
         if not process.fitted:
             known = float(share[0])
             size = process.size or known**2 * depth
-            entry |= {"size": {"known": size}, "share": {"known": known}}
+            entries[key] |= {"size": {"known": size}, "share": {"known": known}}
             continue
-        found = _quantiles(share, level)
+        size, found = _quantiles(share**2 * depth, level), _quantiles(share, level)
         low, high = found["interval"]
         before = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)
         if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
-            entry["verdict"] = "not identified"
-        entry |= {"size": _quantiles(share**2 * depth, level), "share": found}
-        if between is not None and entry["size"]["estimate"] > between:  # not normal
-            entry["size"]["interval"] = entry["share"]["interval"] = [None, None]
+            entries[key]["verdict"] = "not identified"
+        if between is not None and size["estimate"] > between:  # not normal
+            size["interval"] = found["interval"] = [None, None]
+        entries[key] |= {"size": size, "share": found}
     return entries
 
 
@@ -236,3 +233,66 @@ def direction(
     if not others:
         return f"the readings hardly respond to {parameters[j].key}"
     return f"{parameters[j].key} against {' and '.join(others)}"
+
+
+# -- units of users ------------------------------------------------------------------------------
+
+
+def _scaled(entry: Entry, scale: float) -> dict[str, Any]:
+    """Return numbers of a key's entry in fit.json in another unit, which is ``scale``."""
+
+    def converted(number: Any) -> Any:
+        if isinstance(number, list | tuple):
+            return [converted(entry) for entry in number]
+        return None if number is None else number / scale
+
+    return {name: converted(entry[name]) for name in _NUMBERS if name in entry}
+
+
+def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
+    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
+
+    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
+    coefficients k of laws whose specific wear rate is k mu.
+    """
+    if not parameter.unit:
+        return None
+    scale, law = unit_scale(parameter), case.laws_by_table.get(parameter.key.rpartition(".")[0])
+    of_energy = law is not None and "p0" in law.kind.parameters
+    per = {"per": "friction energy"} if of_energy and base_unit(parameter.key) == "1/MPa" else {}
+    return {"unit": parameter.unit, "scale": scale, **per, **_scaled(entry, scale)}
+
+
+def specific_wear_rate(
+    problem: Problem, key: str, entries: Mapping[str, Entry], values: FloatArray
+) -> dict[str, Any] | None:
+    """Return the specific wear rate of a fitted wear coefficient; None where there is no one.
+
+    That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
+    The values (s, m) are draws of the keys.
+    """
+    body = key.removeprefix("wear.").removesuffix(".k")
+    if body not in BODIES or f"wear.{body}.p0" in entries:
+        return None
+    (share, *others) = {_share(test.case, body) for test in problem.experiments}
+    if share is None or others:
+        return None
+    rate = {"unit": SPECIFIC, **_scaled(entries[key], _RATE / share)}
+    if share != 1.0:
+        rate["mu"] = share
+    if share != 1.0 and _FRICTION in entries:
+        rate["mu"] = float(entries[_FRICTION]["estimate"])
+        k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
+        rates = k * mu / _RATE
+        rate |= {**_quantiles(rates, problem.settings.level), "sd": float(rates.std())}
+    rate[CUSTOMARY] = rate["estimate"] * _RATE / factor(CUSTOMARY, None)
+    return rate
+
+
+def _share(case: Case, body: str) -> float | None:
+    """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
+    law, mu = case.laws_by_table.get(f"wear.{body}"), case.friction
+    if law is None or not isinstance(mu, float) or not isinstance(law.values.get("k"), float):
+        return None
+    ratio = law.ratio(mu)
+    return round(float(ratio * mu / law.values["k"]), 12) if ratio else None

@@ -10,17 +10,12 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.definition.problem import Experiment, Series, records
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.likelihood import TestLikelihood
-from ringwear_par.identification.noise import Setting
+from ringwear_par.identification.noise import Noise, Setting
 
 #: number of blocks of a record, and fewest readings, less nuisances, that it needs
 _BLOCKS, _ENOUGH = 10, 30
-#: share of the noise of all readings: a smaller change over the whole of all bounds is no response
-_NO_RESPONSE = 1e-6
 #: by how much log p must gain by the other sign, at least, and as a share of what it can gain
 _SURE, _SHARE = 12.5, 0.25
-#: factors on the model of a record: those of the wrong sign, none, and the right ones
-_WRONG, _RIGHT = -np.geomspace(1e-4, 1e4, 65), np.append(0.0, np.geomspace(1e-4, 1e4, 65))
 #: nuisances that leave the sign of a record as it is
 _HARMLESS = ("offset", "level", "tilt")
 
@@ -46,34 +41,22 @@ def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> fl
 
 
 def refuse_unfit(readings: Readings) -> None:
-    """Refuse series without response, and those of the wrong sign, before a search.
-
-    On the first rank, within ``lead``.
+    """Refuse series of the wrong sign, before a search. On the first rank, within ``lead``.
 
     Raises
     ------
     InputError : all of them.
     """
-    problem, faults = readings.problem, list[str]()
-    start = problem.unknowns([*problem.start.values()])
-    models, slopes = readings.with_slopes(start[None])
-    values = ", ".join(f"{key} = {value:g}" for key, value in problem.start.items())
-    low, high = problem.unknown_bounds
-    for test, model, slope in zip(problem.experiments, models, slopes, strict=True):
-        for series, rows in records(test.series):
-            where = f'{problem.name}: experiment "{legible(test.name)}": {series.name}: '
-            only_limits = series.censored is not None and series.censored.all()
-            change = slope[rows, 0] * (high - low) / series.sd[:, None]
-            if not only_limits and np.linalg.norm(change) < _NO_RESPONSE:
-                faults.append(
-                    f"{where}does not respond to any parameter at the start ({values}); must "
-                    "respond to at least one"
-                )
-            if is_reversed(test, series, model[0, rows]):
-                faults.append(
-                    f"{where}has the wrong sign: readings fall where the model rises; must be "
-                    "positive where material is lost"
-                )
+    problem = readings.problem
+    start, tests = problem.unknowns([*problem.start.values()])[None], problem.experiments
+    models = readings([(i, start) for i in range(len(tests))])
+    faults = [
+        f'{problem.name}: experiment "{legible(test.name)}": {series.name}: has the wrong sign: '
+        "readings fall where the model rises; must be positive where material is lost"
+        for test, (model,) in zip(tests, models, strict=True)
+        for series, rows in records(test.series)
+        if is_reversed(test, series, model[rows])
+    ]
     if faults:
         raise InputError(*faults)
 
@@ -81,8 +64,8 @@ def refuse_unfit(readings: Readings) -> None:
 def is_reversed(test: Experiment, series: Series, model: FloatArray) -> bool:
     """Tell whether a depth or mass goes against the model (n,), whatever the size of that is.
 
-    Its likelihood tells, with all nuisances and without those that may fall: a record that does so
-    only once a drift, say, is fitted too may be right but for a part.
+    Squares tell, with all nuisances and without those that may fall: a record that does so only
+    once a drift, say, is fitted too may be right but for a part.
     """
     if series.planned or not READING_KINDS[series.kind].of_wear or np.isnan(model).any():
         return False
@@ -90,9 +73,15 @@ def is_reversed(test: Experiment, series: Series, model: FloatArray) -> bool:
     for nuisances in (series.nuisances, few):
         same = replace(series, sd_fitted=False, censored=None, nuisances=nuisances)
         alone = replace(test, series=(same,), inputs=())
-        likelihood = TestLikelihood(alone, Setting.before(alone), np.zeros(0))
-        wrong, right = (likelihood(np.outer(sizes, model)) for sizes in (_WRONG, _RIGHT))
-        (best,) = likelihood(series.value[None])
-        if wrong.max() - right.max() <= max(_SURE, _SHARE * (best - right[0])):
+        noise = Noise(alone, [0], Setting.before(alone), np.zeros(0))
+        rows = np.column_stack([noise.data(series.value), model])
+        grams = noise.grams(rows, np.array([1.0, 0.0]))
+        squares, along, size = grams[:, 0, 0], grams[:, 0, 1], np.maximum(grams[:, 1, 1], 1e-300)
+        # log p of the best factor on the model below 0 and above, and of no model
+        wrong, right, none = (
+            (noise.log_constants - 0.5 * (squares - part**2 / size)).max()
+            for part in (np.minimum(along, 0.0), np.maximum(along, 0.0), 0.0 * along)
+        )
+        if wrong - right <= max(_SURE, _SHARE * (noise.log_constants.max() - none)):
             return False
     return True

@@ -14,7 +14,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import (
     Experiment,
-    MeasuredInput,
+    Prior,
     Problem,
     Series,
     body_of_wear,
@@ -138,12 +138,13 @@ def random_wear(
             np.nan_to_num(y.reshape(-1, test.n)[1 + place]) / test.case.area
             for y, test in zip(usual, tests, strict=True)
         ]
-        depths[place] = max(max(float(depth.max()) for depth in worn), 1e-300)
-        for i, test in enumerate(tests):
-            slope = np.nan_to_num(faster[i] - usual[i])[: test.n] / _DIFFERENCE
-            share = worn[i] / depths[place]
+        depths[place] = max(1e-300, *(depth.max() for depth in worn))
+        for of_test, test, fast, slow, depth in zip(
+            clocks, tests, faster, usual, worn, strict=True
+        ):
+            slope, share = np.nan_to_num(fast - slow)[: test.n] / _DIFFERENCE, depth / depths[place]
             felt = np.divide(slope, share, out=np.zeros_like(share), where=share > 0.0)
-            clocks[i].append((felt, share))
+            of_test.append((felt, share))
     return clocks, depths
 
 
@@ -154,22 +155,17 @@ def _scales(readings: Readings, number: int, middle: FloatArray) -> tuple[FloatA
     for measured in test.inputs:
         if measured.scale is None:
             continue
+        mean, sd = measured.scale
         both = []
-        for sign in (-1.0, 1.0):
-            tests[number] = _with_input(test, measured, 1.0 + sign * _DIFFERENCE)
+        for factor in (1.0 - _DIFFERENCE, 1.0 + _DIFFERENCE):
+            changed = replace(measured, scale=Prior(factor * mean, sd))
+            inputs = tuple(changed if i is measured else i for i in test.inputs)
+            tests[number] = replace(test, inputs=inputs)
+            if not measured.of_torque:  # a larger force makes a friction less
+                curve = {measured.key: points_of(changed.curve(test.case))}
+                tests[number] = replace(tests[number], case=test.case.replace(curve))
+            if test.torque_input is not None:
+                tests[number] = tests[number].with_radius(test.torque_input.radius)
             both += _read(readings, tests, middle, tests=[number])
-        slope = (both[1] - both[0]) / (2.0 * _DIFFERENCE)
-        columns.append(slope * measured.scale.sd / measured.scale.mean)
+        columns.append((both[1] - both[0]) / (2.0 * _DIFFERENCE) * sd / mean)
     return tuple(columns)
-
-
-def _with_input(test: Experiment, measured: MeasuredInput, factor: float) -> Experiment:
-    """Return a test whose measured input is larger by a factor: a force makes a friction less."""
-    assert measured.scale is not None
-    scale = measured.scale._replace(mean=factor * measured.scale.mean)
-    changed = replace(measured, scale=scale)
-    test = replace(test, inputs=tuple(changed if i is measured else i for i in test.inputs))
-    if not measured.of_torque:
-        curve = points_of(changed.curve(test.case))
-        test = replace(test, case=test.case.replace({measured.key: curve}))
-    return test if test.torque_input is None else test.with_radius(test.torque_input.radius)

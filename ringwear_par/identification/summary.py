@@ -19,7 +19,7 @@ Entry = Mapping[str, Any]
 Interval = Sequence[float | None]
 
 #: headers of the table of laws; cells are "" where there is nothing
-LAWS = ("law", "probability", "AIC above the smallest", "chi2", "parameters", "verdict")
+LAWS = ("law", "probability", "chi2", "parameters", "verdict")
 #: remarks on scatters by their verdicts
 _NOTES = {"at bound": ", perhaps none", "not identified": ", mostly by its prior"}
 #: digits of numbers: draws know no more
@@ -109,25 +109,23 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
 
 
 def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
-    """Return the cells of the laws compared, see ``LAWS``, the best by AIC first."""
+    """Return the cells of the laws compared, see ``LAWS``, the most probable first."""
     laws = {"this law": outcome, **outcome["alternatives"]}
-    solved = {name: law for name, law in laws.items() if "error" not in law}
-    whole = np.logaddexp.reduce([law["evidence"] for law in solved.values()])
-    best = min(law["aic"] for law in solved.values())
-    rows: list[tuple[str, ...]] = []
-    for name, law in sorted(laws.items(), key=lambda item: item[1].get("aic", np.inf)):
-        if name not in solved:
-            rows.append((name, "", "", "", "", f"failed: {law['error']}"))
+    evidence = {name: law.get("evidence", -np.inf) for name, law in laws.items()}
+    whole, rows = np.logaddexp.reduce([*evidence.values()]), list[tuple[str, ...]]()
+    for name in sorted(laws, key=evidence.__getitem__, reverse=True):
+        law = laws[name]
+        if "error" in law:
+            rows.append((name, "", "", "", f"failed: {law['error']}"))
             continue
         first = [key_rows(key, entry)[0] for key, entry in law["parameters"].items()]
         parameters = ", ".join(f"{row.label} {row.value}" for row in first)
         # as if all laws were equally probable before
-        probability = float(np.exp(law["evidence"] - whole))
+        probability = float(np.exp(evidence[name] - whole))
         share = f"{probability:.2g}" if probability >= 1e-4 else "< 1e-4"
         verdict = "does not fit" if law["flagged"] else "fits"
         verdict = "not tested" if law["p_value"] is None else verdict
-        more, squares = f"{law['aic'] - best:+.1f}", f"{law['chi2']:.4g}"
-        rows.append((name, share, more, squares, parameters, verdict))
+        rows.append((name, share, f"{law['chi2']:.4g}", parameters, verdict))
     return rows
 
 
@@ -185,10 +183,7 @@ def scatter_lines(entry: Entry, level: float) -> list[str]:
     for name, symbol in (("repeatability", "r"), ("reproducibility", "R")):
         if name in entry:
             following += f"; {name} {symbol} = {times * entry[name][symbol]:.2g}{of_size}"
-    lines = ["; ".join(sizes), following]
-    if (needed := entry["specimens_for_10_percent"]) is not None:
-        lines.append(f"an interval of +-10 % for the material needs about {needed} specimens")
-    return lines
+    return ["; ".join(sizes), following]
 
 
 def process_lines(outcome: Entry) -> list[str]:
@@ -208,11 +203,8 @@ def check_rows(outcome: Entry) -> list[tuple[str, str, str, str]]:
     """Return name, statistic, limit and outcome of all that was checked."""
     rows = []
     for check in outcome["checks"]:
-        value = check["value"]
-        # probabilities and counts must be more
-        below = value is None or (value < check["limit"]) == check["pass"]
+        value, limit = check["value"], f"{check['must']} {check['limit']:g}"
         told = "-" if value is None else f"{value:.0f}" if value > 100.0 else f"{value:.2g}"
-        limit = f"{'<' if below else '>'} {check['limit']:g}"
         rows.append((check["name"], told, limit, "pass" if check["pass"] else "FAIL"))
     return rows
 

@@ -1,7 +1,7 @@
 """Answers to the readings of a running test: they depend on these alone, however they came.
 
-Whether readings are as expected, when they will be enough, and when a depth is reached; as numbers
-and in lines of text.
+Whether readings are as expected, when they will be enough, and when a depth is reached; as numbers,
+in lines of text and as a page, which a browser loads anew while the test runs.
 """
 
 import pickle
@@ -11,34 +11,40 @@ from typing import Any
 
 import numpy as np
 from scipy.special import fdtrc
-from scipy.stats import chi2
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
+from ringwear_par.identification.doubts import of_units
+from ringwear_par.identification.fitted_tests import with_all
+from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
-from ringwear_par.identification.users_units import in_users_unit
 from ringwear_par.monitoring.follower import Follower, Specimen
+from ringwear_par.pictures.panel import Axis, Points
 from ringwear_par.prediction.predict import doubts_of
-from ringwear_par.prediction.prediction import TimeTo
-from ringwear_par.results.key_numbers import time_words
+from ringwear_par.prediction.prediction import TimeTo, over_time
+from ringwear_par.reports import blocks
+from ringwear_par.results.key_numbers import time_unit, time_words
+from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: windows of a test in which readings are compared with what is expected of them, and the
 #: probability below which they are not: 1 of 100 tests without a change has an alarm
 WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
-#: share of the draws at edges of what was drawn before above which there is a doubt, and part of
-#: the box that is at its edges
-_AT_EDGES, _EDGE = 0.01, 0.97
+#: degrees of freedom of an sd that is known; mm, sd of what is not read
+_KNOWN, _UNREAD = 1e9, 1e6
 #: draws by which readings are predicted
 PREDICTED = 2000
 #: times at which the sd of a key is expected
 _TIMES = 9
 #: share of its time from which on a test has ended
 _ENDED = 0.999
+#: quantities of records that are drawn; s, after which a browser loads the page anew
+_DRAWN, _REFRESH = ("penetration", "approach", "torque"), 10
 
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
@@ -67,18 +73,35 @@ def answer_of(
     (test,), level = problem.experiments, problem.settings.level
     specimens, alarm = _followed(follower, test)
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
-    shares = np.array([0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level])
     # (keys, 3) before the test, and at the end of each window
     trace = [
-        np.quantile(follower.draws.values(x[:, : follower.m]), shares, axis=0).T.tolist()
+        np.quantile(follower.draws.values(x[:, : follower.m]), _shares(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
-    keys = _keys(follower, problem, trace[0], trace[-1])
+    keys = {}
+    for parameter, unit, (first, _, last), (low, median, high) in zip(
+        problem.parameters, follower.draws.units, trace[0], trace[-1], strict=True
+    ):
+        entry = keys[parameter.key] = {
+            "unit": unit, "estimate": median, "interval": (low, high),
+            "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
+        }  # fmt: skip
+        if told := in_users_unit(parameter, entry, test.case):
+            entry["told"] = told
     rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
     goal = (*rates, 0)[0]
     key, reached = problem.keys[goal], keys[problem.keys[goal]]["percent"]
     time, less = time_to_goal(follower, specimen, goal, percent / reached)
     times = [0.0, *(float(one.test.times.max()) for one in specimens)]
+    doubts = [*doubts_of(follower.draws, test.case, follower.of), *of_units([test])]
+    texts = [doubt.text for doubt in doubts]
+    if alarm is not None:
+        texts.insert(
+            0,
+            f"alarm: readings leave the predicted band from {time_words(alarm['time'], end)} on "
+            f"(p = {alarm['probability']:.1g}): a transition, a layer worn through, or the rig; "
+            "all numbers are of the readings before",
+        )
     found = None
     if depth is not None:
         found = TimeTo.of(follower.time, penetrations(follower, specimen), depth, level)
@@ -88,7 +111,7 @@ def answer_of(
         "depth": found and found._asdict(), "alarm": alarm,
         "trace": [[t, *ends[goal]] for t, ends in zip(times, trace, strict=True)],
         "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
-        "doubts": _doubts(follower, specimen, test, alarm),
+        "doubts": texts,
     }  # fmt: skip
     return {**answer, "summary": _lines(answer, found)}, specimen
 
@@ -118,45 +141,6 @@ def _followed(
     return specimens, None
 
 
-def _keys(
-    follower: Follower, problem: Problem, before: list[list[float]], now: list[list[float]]
-) -> dict[str, dict[str, Any]]:
-    """Return entries of the keys, as in fit.json, with the interval before the test."""
-    keys = {}
-    for parameter, unit, (first, _, last), (low, median, high) in zip(
-        problem.parameters, follower.draws.units, before, now, strict=True
-    ):
-        entry = {
-            "unit": unit, "estimate": median, "interval": (low, high),
-            "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
-        }  # fmt: skip
-        converted = in_users_unit(parameter, entry, problem.experiments[0].case)
-        keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
-    return keys
-
-
-def _doubts(
-    follower: Follower, specimen: Specimen, test: Experiment, alarm: dict[str, float] | None
-) -> list[str]:
-    """Return what speaks against the numbers, an alarm first."""
-    doubts = [doubt.text for doubt in doubts_of(follower.draws, test.case, follower.of)]
-    if alarm is not None:
-        time = time_words(alarm["time"], test.case.time.end)
-        text = (
-            f"alarm: readings leave the predicted band from {time} on (p = "
-            f"{alarm['probability']:.1g}): a transition, a layer worn through, or the rig; all "
-            "numbers are of the readings before"
-        )
-        doubts.insert(0, text)
-    inside = follower.emulator.box.inside(specimen.unknowns[:, : follower.m])
-    if (np.abs(inside) > _EDGE).any(axis=1).mean() > _AT_EDGES:
-        doubts.append(
-            "this specimen differs from the earlier tests more than they let expect, so that "
-            "intervals may be too narrow; check that material and rig are the same"
-        )
-    return doubts
-
-
 def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     """Return how probable new readings are that leave the model of old ones by so much.
 
@@ -172,14 +156,12 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     square = _least_squares(follower, both, after) - _least_squares(follower, old, before)
     if new == 0 or square <= 0.0:
         return 1.0
-    freedom = [
-        noise.freedom - follower.m
+    fitted = (
+        max(noise.freedom - follower.m, 1.0)
         for part, noise in zip(old.parts, old.noises, strict=True)
         if before.test.series[part[0]].sd_fitted
-    ]
-    if freedom:
-        return float(fdtrc(new, max(min(freedom), 1.0), square / new))
-    return float(chi2.sf(square, new))
+    )
+    return float(fdtrc(new, min(fitted, default=_KNOWN), square / new))
 
 
 def _least_squares(follower: Follower, likelihood: TestLikelihood, specimen: Specimen) -> float:
@@ -231,23 +213,17 @@ def _to_end(series: Series, end: float) -> Series:
 def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
     """Return this specimen's penetration (draws, steps) to the end of the test, mm.
 
-    Wear that is random is a Gaussian process here, whose past the readings tell.
+    Wear that is random goes on from what the readings tell of it, as if nothing were read later.
     """
     time, approach = follower.time, follower.columns[follower.places["approach"]]
-    some, old, random = specimen.some(PREDICTED), specimen.likelihood, np.random.default_rng(1)
-    depths, zero = some.v @ (approach - approach[0]).T, np.zeros(len(time))
-    for body, (slope, worn) in enumerate(old.setting.clocks):
-        (noise,), share, most = old.noises, specimen.shares[body], follower.most[body]
-        clock = follower.setting.clocks[body][1][: len(time)]
-        readings = follower.readings(some, old.test)
-        node = int(np.argmax(old.by_node(readings)[0].sum(axis=1)))
-        across = share**2 * most * slope[:, None] * np.minimum.outer(worn, clock)
-        rows = np.column_stack([across, noise.data(old.data)[:, None] - readings.T])
-        data = np.repeat([0.0, 1.0], [len(time), len(some.v)])
-        along = noise.grams(rows, data, node)[: len(time)]
-        variance = (share * most) ** 2 * np.minimum.outer(clock, clock) - along[:, : len(time)]
-        depths += random.multivariate_normal(zero, variance, len(some.v), method="eigh")
-        depths += along[:, len(time) :].T
+    some, test = specimen.some(PREDICTED), specimen.test
+    depths: FloatArray = some.v @ (approach - approach[0]).T
+    if follower.setting.clocks:
+        later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
+        both = replace(test, series=(*test.series, later))
+        likelihood, random = follower.likelihood_like(specimen, both), np.random.default_rng(1)
+        _, worn, _, _ = with_all(likelihood, follower.readings(some, both), random)
+        depths += worn[:, test.n :] @ follower.most
     return depths
 
 
@@ -272,3 +248,39 @@ def _lines(answer: Mapping[str, Any], depth: TimeTo | None) -> list[str]:
     if depth is not None:
         lines.append(f"  {depth.line(end)}")
     return lines
+
+
+def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -> blocks.Page:
+    """Return the page of an answer, by the draws of the specimen that it is made of."""
+    key, end, level = answer["goal"]["key"], answer["end"], f"{100 * answer['level']:g} %"
+    numbers, unit = users_numbers(answer["keys"][key])
+    time, *ends = np.array(answer["trace"]).T
+    axis, quantiles = Axis(f"{key} ({in_signs(unit or '1')})"), np.array(ends) / numbers["scale"]
+    panels = [over_time(axis, "by the readings until then", time, end, quantiles, {level: 0.3})]
+    known = [one for one in records(specimen.test.series) if one[0].quantity in _DRAWN]
+    for series, part in known[:1]:
+        steps = specimen.some(PREDICTED).v @ follower.columns[follower.places[series.name]].T
+        middle = follower.readings(specimen, specimen.test).mean(axis=0)
+        added = specimen.likelihood.nuisance_draws(middle[None])[0][0, part]
+        symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
+        quantiles = factor * np.quantile(steps, _shares(answer["level"]), axis=0)
+        axis, words = Axis(f"{series.quantity} ({symbol})", zero=True), "histories of this specimen"
+        panel = over_time(axis, words, follower.time, end, quantiles, {level: 0.3})
+        x, values = series.x / time_unit(end)[1], factor * (series.value - added)
+        points = [Points(x, values, "readings, less offset and drift")]
+        panels.append(replace(panel, points=points))
+    charts = [blocks.chart(panel, f"{panel.y.label}: {panel.title}") for panel in panels]
+    summary = [blocks.Lines([*map(with_signs, answer["summary"])])]
+    if answer["doubts"]:
+        summary.append(blocks.Lines([*map(with_signs, answer["doubts"])], warning=True))
+    sections = [
+        blocks.Section("Summary", summary),
+        blocks.Section("Over time", [blocks.Pictures(charts)]),
+    ]
+    refresh = 0 if answer["ended"] else _REFRESH
+    return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
+
+
+def _shares(level: float) -> tuple[float, float, float]:
+    """Return the probabilities of the ends of intervals, and of the median between them."""
+    return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level

@@ -5,28 +5,27 @@ Answers are written, and printed, as text and as a page, whenever the test's fil
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
-from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible, reason_of, warning_lines
-from ringwear_par.files.folders import FIT, FOLLOW, check_folder, json_bytes, write_outcome
+from ringwear_par.files.folders import FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
-from ringwear_par.monitoring.answer import answer_of
+from ringwear_par.monitoring.answer import answer_of, page_of
 from ringwear_par.monitoring.follower import Follower
-from ringwear_par.monitoring.page import page_of
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.predict import check_predicted, fit_draws
-from ringwear_par.reports.fit_page import stored_outcome
+from ringwear_par.reports.blocks import Page
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.progress import StopSignals
 from ringwear_par.version import versions
@@ -82,16 +81,18 @@ def run_follow(
     def answer() -> None:
         """Write and print an answer whenever the files have changed."""
         follower, frame = None, None
-        for problem in _changes(source, name, once, signals):
+        for problem in _changes(source, name, signals):
             (test,) = problem.experiments
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
             if follower is None or frame != (problem.text, test.case.text, fixed):
-                followed, of = _of_the_fit(problem, after, known)
+                followed, of = _of_the_fit(problem, known)
                 readings.tell(f"histories of {legible(name)}")
                 follower = Follower(known, of, followed, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
-            if _answer(follower, problem, to, depth, folder):
+            found, specimen = answer_of(follower, problem, to, depth)
+            _write(folder, found, page_of(found, follower, specimen))
+            if once or found["ended"]:
                 return
         if follower is None:
             raise StoppedError("stopped before the first answer")
@@ -101,15 +102,13 @@ def run_follow(
         readings.lead(answer)
 
 
-def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Iterator[Problem]:
+def _changes(source: Path, name: str, signals: StopSignals) -> Iterator[Problem]:
     """Yield the problem of a running test, again whenever its files have changed."""
     seen, warned = None, ""
     while not signals.received:
         try:
             problem = read_running(source, name)
         except InputError as error:  # it is being written, or was replaced
-            if once:
-                raise
             if (reason := reason_of(error)) != warned:
                 log.warning("%s; the last answer stays until that changes", reason)
             warned = reason
@@ -118,27 +117,20 @@ def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Itera
             if files != seen:
                 seen = files
                 yield problem
-            if once:
-                return
         time.sleep(_PAUSE)
 
 
-def _answer(
-    follower: Follower, problem: Problem, percent: float, depth: float | None, folder: Path
-) -> bool:
-    """Write and print the answer to the readings so far; return whether the test has ended."""
-    answer, specimen = answer_of(follower, problem, percent, depth)
+def _write(folder: Path, answer: Mapping[str, Any], page: Page) -> None:
+    """Write and print an answer and its page."""
     contents = {**answer, "versions": versions()}
     write_outcome(folder, "follow", {FOLLOW: partial(json_bytes, contents)})
     lines = [*answer["summary"], *warning_lines(answer["doubts"]), f"written: {folder / FOLLOW}"]
     try:
         check_page(folder / PAGE)
-        page = page_of(answer, follower, specimen)
         lines.append(f"written: {write_page(page, folder / PAGE)}")
     except InputError as error:
         lines += warning_lines([str(error)])
     print("\n".join(lines), flush=True)
-    return bool(answer["ended"])
 
 
 def read_running(source: Path, name: str = "") -> Problem:
@@ -150,39 +142,23 @@ def read_running(source: Path, name: str = "") -> Problem:
     """
     problem = read_fit(source, running=name)
     (test,) = problem.experiments
-    faults = [
-        f"{source}: {legible(test.name)}: {series.file or series.name}: {assumption}; its unit "
-        "must be given"
-        for series in test.series
-        for assumption in series.assumptions
-    ]
-    if faults:
-        raise InputError(*faults)
     series = tuple(averaged(record, test.case.time.end) for record in test.series)
     return replace(problem, experiments=(replace(test, series=series),))
 
 
-def _of_the_fit(problem: Problem, after: Path | None, draws: Draws) -> tuple[Problem, str]:
+def _of_the_fit(problem: Problem, draws: Draws) -> tuple[Problem, str]:
     """Return the problem of a test with the random wear that the fit knows, and whose test it is.
 
     InputError for the test of another fit.
     """
     (test,) = problem.experiments
-    if after:
-        with stored_outcome(after / FIT, "the outcome of ringwear fit") as outcome:
-            tested = test.name in outcome["experiments"]
-        if tested:
-            raise InputError(
-                f"{problem.name}: {legible(test.name)}: is among the tests of {after}, so that its "
-                "readings would count twice; must be followed after a fit without it"
-            )
-    if problem.keys != draws.keys:
+    if test.name in draws.experiments:
         raise InputError(
-            f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(draws.keys)}, as "
-            "the fit of earlier tests"
+            f"{problem.name}: {legible(test.name)}: is among the tests of the fit, so that its "
+            "readings would count twice; must be followed after a fit without it"
         )
+    draws.check_keys(problem)
     of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
     check_predicted(draws, test.case, problem.name, of)
-    sizes = zip(BODIES, draws.process.T, strict=True)
-    process = {f"wear.{body}": ProcessNoise() for body, size in sizes if size.any()}
+    process = {key: ProcessNoise() for key in draws.process}
     return replace(problem, settings=replace(problem.settings, process=process)), of

@@ -97,10 +97,10 @@ def predict(
 
     whole, known, values, sizes = on_first_rank(comm, drawn)
     results = _histories(whole, known.keys, values, sizes, seed, comm)
-    left = [*results]
+    left, name = [*results], str(fit) if isinstance(fit, Path | str) else "fit"
     return Prediction(
-        of, str(fit) if isinstance(fit, Path | str) else "fit", whole.stored_text, seed,
-        dict(zip(known.keys, known.units, strict=True)), values[left], sizes[left],
+        {"of": of, "fit": name, "case": whole.stored_text, "seed": seed},
+        dict(zip(known.keys, known.units, strict=True)), values[left],
         doubts_of(known, whole, of), results[left[0]].histories["time"],
         {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
         failed=draws - len(left),
@@ -114,12 +114,10 @@ def run_predict(
     comm: MPI.Intracomm,
     *,
     overrides: Sequence[str] = (),
-    of: str = "next specimen",
-    draws: int = 1000,
-    seed: int = 0,
     depth: float | None = None,
+    **how: Any,
 ) -> None:
-    """Predict and write the outcome to a folder. Collective on comm.
+    """Predict as ``predict`` does and write the outcome to a folder. Collective on comm.
 
     Parameters
     ----------
@@ -128,20 +126,14 @@ def run_predict(
 
     def compute() -> Prediction:
         whole = on_first_rank(comm, lambda: read_case(case, overrides))
-        return replace(predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm), depth=depth)
+        return replace(predict(fit, whole, comm=comm, **how), depth=depth)
 
     into_folder(folder, FILES, comm, compute, "predict")
 
 
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
-    """Return the draws of a fit, or of the fit of a folder; InputError of anything else."""
-    if isinstance(fit, Path | str):
-        return read_draws(Path(fit, POSTERIOR))
-    if not isinstance(draws := getattr(fit, "draws", None), Draws):
-        raise InputError(
-            f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
-        )
-    return draws
+    """Return the draws of a fit, or of the fit of a folder."""
+    return read_draws(Path(fit, POSTERIOR)) if isinstance(fit, Path | str) else fit.draws
 
 
 def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
@@ -173,9 +165,9 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
         )
         doubts.append(ValidityWarning("no-scatter", text))
     # NaN of what the fit does not know, or the case does not have
-    tests = [f.reduce(draws.conditions) for f in (np.fmin, np.fmax)]
-    numbers = np.stack([conditions_of(case, draws.keys), *tests], axis=1).tolist()
-    for (name, unit), (value, *ends) in zip(CONDITIONS.items(), numbers, strict=True):
+    tests = [f.reduce(draws.conditions).tolist() for f in (np.fmin, np.fmax)]
+    numbers = zip(CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), *tests, strict=True)
+    for (name, unit), value, *ends in numbers:
         # a shorter test is a part of a longer one
         least = 0.0 if name == "distance" else ends[0] * (1.0 - _SAME)
         if value < least or value > ends[1] * (1.0 + _SAME):
@@ -199,29 +191,24 @@ def _histories(
 
     ComputationError where many draws have none.
     """
-    ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
-    errors: list[Exception] = []
+    ends, output = [_step_ends(case)] * len(values), Output(profiles="last", fields=("pressure",))
     cases = [
         replace(drawn, output=output, stress=None) if isinstance(drawn, Case) else drawn
         for drawn in cases_at(case, keys, values)
     ]
-
-    def compute(draws: Sequence[int], paces: Sequence[FloatArray] | None) -> dict[int, Result]:
-        steps = [ends] * len(draws)
-        found = results_of([cases[i] for i in draws], comm, step_times=steps, paces=paces)
-        errors.extend(outcome.error for outcome in found if not isinstance(outcome, Result))
-        return {i: r for i, r in zip(draws, found, strict=True) if isinstance(r, Result)}
-
-    results = compute(range(len(cases)), None)
-    if sizes.any() and results:
-        volumes = [[r.histories[f"worn_volume_{body}"][1:] for body in BODIES]
-                   for r in results.values()]  # fmt: skip
-        random = np.random.default_rng([seed, 1])
-        paces = draw_paces(np.array(volumes) / case.area, sizes[[*results]], random)
-        results = compute([*results], [*paces])
+    found = results_of(cases, comm, step_times=ends)
+    if sizes.any():
+        depths = np.zeros((len(values), len(BODIES), len(ends[0])))
+        for mean, result in zip(depths, found, strict=True):
+            if isinstance(result, Result):
+                mean[:] = [result.histories[f"worn_volume_{b}"][1:] / case.area for b in BODIES]
+        paces = draw_paces(depths, sizes, np.random.default_rng([seed, 1]))
+        again = [c if isinstance(r, Result) else r.error for c, r in zip(cases, found, strict=True)]
+        found = results_of(again, comm, step_times=ends, paces=[*paces])
+    errors = [outcome.error for outcome in found if not isinstance(outcome, Result)]
     if len(errors) > _MOST_FAILED * len(values):
         raise ComputationError(f"{len(errors)} of {len(values)} draws have no history: {errors[0]}")
-    return results
+    return {i: result for i, result in enumerate(found) if isinstance(result, Result)}
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible, warning_lines
 from ringwear_par.files import folders
 from ringwear_par.pictures.matplotlib import panel_figure
@@ -17,7 +16,14 @@ from ringwear_par.pictures.style import COLOURS, picture
 from ringwear_par.results.files import atomic_hdf5, write_variable
 from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Outcome
-from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, SOFTWARE, Variable, to_dataset
+from ringwear_par.results.variables import (
+    DISPLAY_UNITS,
+    HISTORIES,
+    SOFTWARE,
+    Variable,
+    axis,
+    to_dataset,
+)
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:
@@ -72,18 +78,13 @@ class TimeTo(NamedTuple):
 class Prediction(Outcome):
     """Histories of a case, one a draw."""
 
-    #: "next specimen", "material" or the name of a specimen; what messages call the fit
-    of: str
-    fit: str
-    #: TOML text of the case
-    case: str
-    seed: int
+    #: ``of`` whom it is ("next specimen", "material", a specimen), what messages call the ``fit``,
+    #: the TOML text of the ``case``, and the ``seed`` of the draws
+    about: Mapping[str, Any]
     #: of the fit, with their units
     keys: Mapping[str, str]
     #: (draws, m) of the keys
     values: FloatArray
-    #: (draws, 2) mm, of the random wear of lower and upper; 0: none
-    sizes: FloatArray
     #: what speaks against the numbers
     doubts: tuple[ValidityWarning, ...]
     #: (steps,) s, and histories (draws, steps) by name, see ``QUANTITIES``
@@ -117,29 +118,21 @@ class Prediction(Outcome):
         """Return when the penetration reaches a depth, mm, first.
 
         Linear between steps. Draws that do not reach it count as later than the end of the case.
-
-        Raises
-        ------
-        InputError : a depth that is not positive.
         """
-        if not depth > 0.0:
-            raise InputError(f"depth = {depth!r}: must be > 0 mm")
         return TimeTo.of(self.time, self.histories["penetration"], depth)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of prediction.json."""
         depth = None if self.depth is None else self.time_to(self.depth)._asdict()
         return {
-            "of": self.of, "whose": self._whose,
-            "fit": self.fit, "draws": len(self.values), "failed": self.failed,
-            "seed": self.seed, "keys": dict(self.keys),
-            "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
+            **self.about, "whose": self._whose, "draws": len(self.values), "failed": self.failed,
+            "keys": dict(self.keys), "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
             "quantiles": {
                 name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}
                 for name in self.histories
             },
             "depth": depth, "doubts": [doubt.to_dict() for doubt in self.doubts],
-            "case": self.case, "summary": self.summary().splitlines(), "versions": versions(),
+            "summary": self.summary().splitlines(), "versions": versions(),
         }  # fmt: skip
 
     def summary(self) -> str:
@@ -158,7 +151,7 @@ class Prediction(Outcome):
         if self.depth is not None:
             lines.append(self.time_to(self.depth).line(end))
         failed = f"; {self.failed} more have no history" * bool(self.failed)
-        lines.append(f"{len(self.values)} draws of {legible(self.fit)}{failed}")
+        lines.append(f"{len(self.values)} draws of {legible(self.about['fit'])}{failed}")
         return "\n".join([*lines, *warning_lines(doubt.text for doubt in self.doubts)])
 
     def plot(self) -> "Figure":
@@ -175,7 +168,7 @@ class Prediction(Outcome):
         folder = Path(path)
         with folders.new_files(folder, FILES, "predict"):
             with atomic_hdf5(folder / folders.DRAWS) as file:
-                file.attrs.update({"software": SOFTWARE, **self._attributes})
+                file.attrs.update({"software": SOFTWARE, **self.about, **versions()})
                 for variable, values in self._variables():
                     write_variable(file, variable, values)
             contents = {
@@ -191,48 +184,53 @@ class Prediction(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        return to_dataset([*self._variables()], self._attributes, ["time"])
+        return to_dataset([*self._variables()], {**self.about, **versions()}, ["time"])
 
     @property
     def _whose(self) -> str:
         # without scatter, a fit knows of no other specimens than its own
         alone = any(doubt.code == "no-scatter" for doubt in self.doubts)
-        return "the specimens tested" if alone else self.of
-
-    @property
-    def _attributes(self) -> dict[str, Any]:
-        about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
-        return {**about, **versions()}
+        return "the specimens tested" if alone else str(self.about["of"])
 
     def _variables(self) -> Iterator[tuple[Variable, Any]]:
         """Yield all variables with their values, the dimensions first."""
         for name, count in (("draw", len(self.values)), ("step", len(self.time))):
-            axis = Variable(name, (name,), "1", f"number of the {name}", integer=True)
-            yield axis, np.arange(count)
+            yield axis(name), np.arange(count)
         yield Variable("time", ("step",), "s", "time"), self.time
         for name, values in self.histories.items():
             yield replace(HISTORIES[name], dimensions=("draw", "step")), values
         for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True):
             yield Variable(key, ("draw",), unit, "value of the fitted key"), values
-        for body, sizes in zip(BODIES, self.sizes.T, strict=True):
-            if sizes.any():
-                name, meaning = f"process.wear.{body}", "size of the random wear"
-                yield Variable(name, ("draw",), "mm", meaning), sizes
 
 
 def band_panel(content: Mapping[str, Any]) -> Panel:
     """Return the panel of the contents of prediction.json: penetration, bands of 50 and 95 %."""
-    time = np.array(content["time"], dtype=float)
-    unit, seconds = time_unit(float(time[-1]))
-    depth, factor = DISPLAY_UNITS["penetration"]
-    quantiles = np.array(content["quantiles"]["penetration"]["values"], dtype=float).T
-    time, (low, lower, median, upper, high) = time / seconds, factor * quantiles
-    return Panel(
-        Axis(f"time ({unit})", zero=True), Axis(f"penetration ({depth})", zero=True),
-        content["whose"],
-        curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
-        bands=[
-            Band(time, low, high, "95 %", COLOURS[0], 0.18),
-            Band(time, lower, upper, "50 %", COLOURS[0], 0.35),
-        ],
-    )  # fmt: skip
+    time, (unit, factor) = np.array(content["time"]), DISPLAY_UNITS["penetration"]
+    quantiles = factor * np.array(content["quantiles"]["penetration"]["values"]).T
+    axis, names = Axis(f"penetration ({unit})", zero=True), {"95 %": 0.18, "50 %": 0.35}
+    return over_time(axis, content["whose"], time, float(time[-1]), quantiles, names)
+
+
+def over_time(
+    axis: Axis,
+    title: str,
+    time: FloatArray,
+    end: float,
+    quantiles: FloatArray,
+    bands: Mapping[str, float],
+) -> Panel:
+    """Return the panel of a median and bands about it.
+
+    Parameters
+    ----------
+    time : (t,) s, of a test until ``end``.
+    quantiles : (2 bands + 1, t), the lowest first.
+    bands : opacities by name, the widest first.
+    """
+    unit, seconds = time_unit(end)
+    drawn = [
+        Band(time / seconds, quantiles[i], quantiles[-1 - i], name, opacity=opacity)
+        for i, (name, opacity) in enumerate(bands.items())
+    ]
+    median = Curve(time / seconds, quantiles[len(bands)], "median", COLOURS[1])
+    return Panel(Axis(f"time ({unit})", zero=True), axis, title, curves=[median], bands=drawn)

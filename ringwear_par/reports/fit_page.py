@@ -69,7 +69,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
     level = float(outcome["level"])
     series, text, inputs = stored_readings(folder / folders.READINGS, level)
     draws = read_draws(folder / folders.POSTERIOR)
-    samples = dict(zip(draws.keys, draws.values(draws.material).T, strict=True))
+    samples = dict(zip(draws.keys, draws.material.T, strict=True))
     blocks = (
         page.Lines(_bands(level)),
         page.Pictures(_series_charts(series)),

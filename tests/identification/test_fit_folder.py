@@ -42,16 +42,15 @@ def test_a_command_writes_nothing_in_a_dry_run(tables, comm, capsys, tmp_path):
     assert "wear.lower.p0" in capsys.readouterr().out
     found = json.loads((folder / "fit.json").read_text())["parameters"][K]["interval"]
     assert high - low == pytest.approx(found[1] - found[0], rel=0.15)
-    assert not [p for p in folder.iterdir() if "specimens" in p.name]
 
 
 def test_what_is_written(folder, found):
     assert sorted(p.name for p in folder.iterdir()) == [
-        "draws.nc", "fit.json", "fit.png", "parameters.png", "results.h5",
+        "draws.nc", "fit.json", "fit.png", "results.h5",
     ]  # fmt: skip
     stored = json.loads((folder / "fit.json").read_text())
     assert stored == json.loads(json.dumps(found.to_dict()))
-    assert {"parameters", "covariance", "chi2", "p_value", "aic", "evidence", "process",
+    assert {"parameters", "covariance", "chi2", "p_value", "evidence", "process",
             "experiments", "nuisance", "inputs", "checks", "doubts", "alternatives",
             "draws"} <= {*stored}  # fmt: skip
     assert stored["warnings"] == [doubt["text"] for doubt in stored["doubts"]]
@@ -87,12 +86,14 @@ def test_tables_for_spreadsheets(folder, tmp_path):
 
 def test_replicas_are_about_as_far_off_as_the_readings(found):
     """And log p of the readings is about that of their residuals, and of bands that widen them."""
-    emulated, x = found.solution.posterior.likelihoods[0], found.draws.tests[:, 0]
+    emulated, x = found.solution.posterior.likelihoods[0], found.draws.of_test(0)
     logs, replicas = readings_of_draws(emulated, x, np.random.default_rng(0))
-    model, sd, band, residuals = (
-        np.concatenate([getattr(one, name) for one in found.series if one.test == "test 1"])
-        for name in ("model", "sd", "band", "residuals")
+    of_test = [one for one in found.series if one.test == "test 1"]
+    model, sd, band = (
+        np.concatenate([one.series.factor * getattr(one.drawn, name) for one in of_test])
+        for name in ("model", "sd", "band")
     )
+    residuals = np.concatenate([one.drawn.residuals for one in of_test])
     off = (replicas - model) / np.hypot(sd, band)
     assert abs(off.mean()) < 0.02
     assert off.std() == pytest.approx(1.0, abs=0.03)
@@ -103,16 +104,16 @@ def test_replicas_are_about_as_far_off_as_the_readings(found):
 
 @pytest.mark.slow
 def test_draws_are_read_as_they_were_written(specimens, tmp_path):
-    """ArviZ has them by chains; readings of draws are about as far off as the data."""
+    """ArviZ has them by chains."""
     specimens.save(tmp_path)
-    assert (tmp_path / "specimens.png").exists()
     again, draws = read_draws(tmp_path / "draws.nc"), specimens.draws
     for name in Draws.__dataclass_fields__:
         one, other = getattr(again, name), getattr(draws, name)
         if isinstance(other, np.ndarray):
             np.testing.assert_allclose(one, other, rtol=1e-12)
-        elif name == "scatter":
-            np.testing.assert_array_equal(one[K, "specimen"], other[K, "specimen"])
+        elif name in ("tests", "scatter", "process"):
+            assert [*one] == [*other]
+            np.testing.assert_array_equal([*one.values()], [*other.values()])
         else:
             assert one == other, name
     count, n = len(draws), specimens.content["n_data"]
@@ -121,9 +122,7 @@ def test_draws_are_read_as_they_were_written(specimens, tmp_path):
         assert file["posterior"][K].shape == (4, count // 4)
         assert file["posterior"]["process.wear.lower"].attrs["units"] == "mm"
         assert file["log_likelihood"]["reading"].shape == (4, count // 4, n)
-        replicas = file["posterior_predictive"]["reading"][:].reshape(count, n)
+        assert file["posterior_predictive"]["reading"].shape == (4, count // 4, n)
         observed = file["observed_data"]["reading"][:]
     read = [one.series.value for one in specimens.series]
     np.testing.assert_array_equal(observed, np.concatenate(read))
-    off = (replicas - observed) / replicas.std(axis=0)
-    assert np.abs(off.mean(axis=0)).max() < 2.5

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from fit_coverage import Laboratory, laboratories, one_set
+from laboratory import write_table
 from mpi4py import MPI
 from paths import PAPER
 from scipy.stats import kstest, norm
@@ -59,8 +60,7 @@ def laboratory(tmp_path_factory):
             x, y = true[quantity]
             read[quantity] = y + sd * rng.standard_normal(len(x))
             path = folder / f"{quantity}.csv"
-            rows = [f"{v:.12g},{w:.12g}" for v, w in zip(x, read[quantity], strict=True)]
-            path.write_text("\n".join([f"{place},{unit}", *rows]) + "\n")
+            write_table(path, (place, unit), x, read[quantity])
             nuisance = {"penetration": {"offset": {}}, "torque": {}}.get(quantity, {"tilt": {}})
             data.append({"quantity": quantity, "file": str(path), "sd": sd, "nuisance": nuisance,
                          "columns": {name: place, "value": unit},

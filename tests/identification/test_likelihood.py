@@ -7,7 +7,6 @@ import pytest
 from linear_tests import END, emulator, experiment, series
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
-from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student_t
 
@@ -138,25 +137,6 @@ def test_growth_times_are_integrated(known):
     assert times[0].mean() == pytest.approx(moments[0][1] / moments[0][0], abs=0.3)
     one = values[0, "thermal"][:, None] * -np.expm1(-record.x / times[0][:, None])
     np.testing.assert_allclose(added, one, atol=1e-9)
-
-
-def test_growth_and_random_wear_together():
-    """The same clocks at nodes of the time, with another number of nodes: as the sum over times."""
-    time = Nuisance(GROWTH_TIME, Prior(25.0, 6.0), (5.0, 60.0), 25.0)
-    record = series(RNG.standard_normal(N), nuisances=(Nuisance("thermal", Prior(0.0, 1.0)), time))
-    test = experiment(record)
-    clock, share, logs = (1.0 + record.x / END, record.x / END), 0.2, []
-    times = np.linspace(5.0, 52.0, 400)
-    for t in times:
-        column = -np.expm1(-record.x / t)
-        matrix = np.diag(record.sd**2) + np.outer(column, column)
-        matrix += share**2 * np.outer(clock[0], clock[0]) * np.minimum.outer(clock[1], clock[1])
-        rest = record.value - X @ SLOPES[:N].T
-        logs.append(multivariate_normal.logpdf(rest, cov=matrix) + norm.logpdf(t, 25.0, 6.0))
-    given = Setting.before(test)
-    given = replace(given, sd=record.sd, clocks=(clock,))
-    steps = np.log(times[1] - times[0]) + 0.5 * np.log(2.0 * np.pi) + constant(test)
-    assert both(test, given, [share]) == pytest.approx(logsumexp(logs, axis=0) + steps, abs=2e-3)
 
 
 def test_an_sd_that_is_fitted_is_integrated():

@@ -44,14 +44,6 @@ def test_a_bent_density():
         assert np.quantile(x, TAILS) == pytest.approx(np.quantile(true, TAILS), abs=0.3 * width)
 
 
-def test_a_funnel_whose_neck_is_not_narrow():
-    def funnel(x):
-        return norm.logpdf(x[:, 0]) + norm.logpdf(x[:, 1:], 0.0, np.exp(0.5 * x[:, :1])).sum(axis=1)
-
-    size = drawn(funnel, 5, 3.0)[:, 0]
-    assert np.quantile(size, TAILS) == pytest.approx(norm.ppf(TAILS), abs=0.2)
-
-
 def test_the_integral_of_a_density():
     matrix = 0.3 + np.diag([1.0, 1e-4, 4.0, 0.5])
     draws = np.random.default_rng(2).multivariate_normal(np.arange(4.0), matrix, 4000)

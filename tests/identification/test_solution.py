@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from linear_tests import LinearReadings, experiment, parameter, problem, series
 from parts import Scatter
-from scipy.stats import norm, t
+from scipy.stats import t
 
 import ringwear_par as rw
 from ringwear_par.identification.solution import solve
@@ -48,24 +48,6 @@ def test_a_linear_test_has_the_posterior_of_least_squares():
     other = solved(BOTH, linear, seed=1)
     ends = [np.quantile(one.theta, [0.025, 0.975], axis=0) for one in (found, other)]
     assert (np.abs(ends[0] - ends[1]) < 0.15 * sd).all()
-
-
-def test_a_bent_ridge_is_followed_to_its_end():
-    """Only a product is known, of values between 0.1 and 10: a hyperbola, against a grid."""
-    keys = parameter(0, (0.1, 10.0)), parameter(1, (0.1, 10.0))
-
-    def product(x):
-        return np.tile(x[:, :1] * x[:, 1:], (1, 20))
-
-    data = 1.0 + 0.3 * RNG.standard_normal(20)
-    found = solved(keys, product, data=data, sd=0.3)
-    at = np.linspace(0.1, 10.0, 1500)
-    a, b = np.meshgrid(at, at, indexing="ij")
-    density = norm.pdf(a * b, data.mean(), 0.3 / np.sqrt(20)).sum(axis=1)
-    share = np.cumsum(density) / density.sum()
-    for tail in (0.025, 0.5, 0.975):
-        q = np.quantile(found.theta[:, 0], tail)
-        assert np.interp(q, at, share) == pytest.approx(tail, abs=0.035)
 
 
 def test_specimens_are_those_of_a_normal_model():

@@ -8,9 +8,8 @@ import pytest
 from scipy.stats import expon, uniform
 
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.key_estimates import judged
+from ringwear_par.identification.key_estimates import in_users_unit, judged, specific_wear_rate
 from ringwear_par.identification.summary import digits_of, key_rows, limits, number
-from ringwear_par.identification.users_units import in_users_unit, specific_wear_rate
 
 K, P0 = "wear.lower.k", "wear.lower.p0"
 ENTRY = {"estimate": 1.3e-7, "sd": 1e-9, "interval": [1.28e-7, 1.32e-7], "verdict": "identified",

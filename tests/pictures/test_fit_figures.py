@@ -7,10 +7,10 @@ import pytest
 from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
-from parts import figure_of_keys
 
 import ringwear_par as rw
 from ringwear_par.pictures import fit_panels, key_panels
+from ringwear_par.pictures.matplotlib import panel_figure
 
 
 @pytest.fixture(scope="module")
@@ -61,21 +61,24 @@ def test_residuals_are_data_less_model(found):
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
     for axes, one in zip(panels, found.series, strict=False):
-        expected = (one.series.value - one.model) / one.series.sd
+        expected = (one.drawn.data - one.drawn.model) / one.drawn.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
         assert drawn == pytest.approx(expected)
 
 
 def test_densities_and_pairs_are_those_of_the_draws(found):
     """With the interval's ends, one where there is one limit, and the verdict."""
-    check_texts(figure_of_keys(found.to_dict(), found.draws))
-    values = found.draws.values(found.draws.material)
-    draws, outcome = dict(zip(found.draws.keys, values.T, strict=True)), found.to_dict()
-    ((alone,), (pair, _)) = key_panels.fitted_keys(outcome, draws)
+    draws, outcome = (
+        dict(zip(found.draws.keys, found.draws.material.T, strict=True)),
+        found.to_dict(),
+    )
+    rows = key_panels.fitted_keys(outcome, draws)
+    check_texts(panel_figure(rows, (7.2, 7.0)))
+    ((alone,), (pair, _)) = rows
     low, high = outcome["parameters"]["wear.lower.k"]["interval"]
     assert [curve.x[0] for curve in alone.curves][:2] == pytest.approx([low, high])
     assert alone.labels == []
-    for axis, column in zip(("x", "y"), values.T, strict=True):
+    for axis, column in zip(("x", "y"), found.draws.material.T, strict=True):
         shown = getattr(pair.points[0], axis)
         assert len(shown) == 1000
         assert np.median(shown) == pytest.approx(np.median(column), 0.02)
@@ -87,7 +90,7 @@ def test_densities_and_pairs_are_those_of_the_draws(found):
 
 def test_long_tests_are_drawn_in_hours(found):
     """As results are; the numbers are those of the file, in s."""
-    series = found.series[0].drawn(0.95)
+    series = found.series[0].drawn
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, label in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):

@@ -116,8 +116,8 @@ def test_the_page_of_a_fit_has_the_numbers_of_its_file(folder, pages):
         ends = [one["estimate"], *one["interval"]]
         assert [float(row[i]) for i in (1, 4, 5)] == pytest.approx(ends, rel=5e-3)
     assert f"chi2 = {told['chi2']:.4g}" in page.text
-    laws = page.rows("AIC above the smallest")
-    assert laws["this law"][1] == "+0.0"
+    laws = page.rows("probability")
+    assert laws["this law"][0] == "1"
     assert laws["archard"][-1] == "does not fit"
     assert len(page.drawings) >= 9  # penetrations, profiles and residuals, masses, keys
     assert any("95 % of the model" in texts for texts in page.drawings.values())

@@ -4,7 +4,7 @@ The information of tests adds, nuisances of each being projected out, so that m 
 candidate, at a few draws of what is known, tell what every combination of them would.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,8 +38,8 @@ from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]
-#: designs that are listed, and shown by a summary; combinations scored together
-_LISTED, _SHOWN, _AT_ONCE = 10, 5, 50_000
+#: designs that are listed, and shown by a summary
+_LISTED, _SHOWN = 10, 5
 #: inches: width and height of a panel, height of a test of a design in bars
 _WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
 _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
@@ -172,13 +172,12 @@ def design(
         information, space = informations(readings, before), problem.design
         good = np.isfinite(information).all(axis=(1, 2, 3))
         left = tuple(test for test, has in zip(tests, good, strict=True) if has)
-        shortest = min((test.seconds for test in left), default=np.inf)
-        if not left or shortest * space.experiments > space.time_limit:
+        found = _designs(problem, before, left, information[good]) if left else []
+        if len(found) < 2:
             raise ComputationError(
                 f"{problem.name}: design: {(~good).sum()} of {len(tests)} tests cannot be "
                 f"computed, which leaves too few: {readings.reason}"
             )
-        today, *designs = _designs(problem, before, left, information[good])
         values, scales, about = before.values.tolist(), {}, []
         for p, value in zip(problem.parameters, values, strict=True):
             scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
@@ -192,8 +191,8 @@ def design(
             "draws": 1 if np.isfinite(before.vague).all() else len(before.draws),
             "candidates": len(left), "failed": len(tests) - len(left),
             "reason": readings.reason or None, "histories": readings.count,
-            "measured_as": problem.experiments[0].name, "sd_scales": scales, "today": today,
-            "designs": designs, "versions": versions(),
+            "measured_as": problem.experiments[0].name, "sd_scales": scales, "today": found[0],
+            "designs": found[1:], "versions": versions(),
         }  # fmt: skip
         return DesignResult(content, left, before.sd_of_values(information[good]))
 
@@ -205,38 +204,31 @@ def _designs(
 ) -> list[dict[str, Any]]:
     """Return no test, and the best ones by what all tell, (c, d, m, m), see ``informations``.
 
-    All of one or two tests are looked at. Of more, the best pair that leaves time for the shortest
-    tests beside it; then each is exchanged for the best one, twice.
+    All of one or two tests are looked at; to the best pair, further ones are added one by one.
     """
     count, every = problem.design.experiments, np.arange(len(tests))
     seconds = np.array([test.seconds for test in tests])
     low, high = problem.unknown_bounds
 
     def scores(rows: IntArray) -> FloatArray:
-        """Return the score (rows,) of tests (rows, count) together; -inf beyond the time."""
-        found = np.full(len(rows), -np.inf)
-        within = np.flatnonzero(seconds[rows].sum(axis=1) <= problem.design.time_limit)
-        for some in np.array_split(within, len(within) // _AT_ONCE + 1):
-            gain, sd = before.then(sum(information[column] for column in rows[some].T))
-            mean_variance = np.square(sd / (high - low)).mean(axis=-1)
-            found[some] = gain if problem.design.criterion == "D" else -mean_variance
-        return found
+        """Return the score (rows,) of tests (rows, some) together; -inf beyond the time."""
+        gain, sd = before.then(sum(information[column] for column in rows.T))
+        score = gain if problem.design.criterion == "D" else -np.square(sd / (high - low)).mean(-1)
+        left = (count - rows.shape[1]) * seconds.min()
+        within = seconds[rows].sum(axis=1) + left <= problem.design.time_limit
+        return np.where(within, score, -np.inf)
 
     rows = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
-    if count > 2:
-        filled = np.column_stack([rows, np.full((len(rows), count - 2), seconds.argmin())])
-        best, looked = filled[scores(filled).argmax()], []
-        for place in 2 * [*range(2, count), 0, 1]:
-            looked.append(np.tile(best, (len(every), 1)))
-            looked[-1][:, place] = every
-            best = looked[-1][scores(looked[-1]).argmax()]
-        rows = np.concatenate(looked)
-    chosen, found = dict[Hashable, list[int]]({(): []}), scores(rows)
+    while rows.shape[1] < count:
+        best = rows[scores(rows).argmax()]
+        rows = np.column_stack([np.tile(best, (len(every), 1)), every])
+    # designs that differ in more than durations, where anything else varies
+    kinds = [[v for key, v in t.keys.items() if key != "time.end"] or [t.seconds] for t in tests]
+    chosen, found = dict[str, list[int]]({"": []}), scores(rows)
     for row in np.argsort(-found, kind="stable").tolist():
         if len(chosen) > _LISTED or found[row] == -np.inf:
             break
-        kind = tuple(sorted(tests[i].kind for i in rows[row]))
-        chosen.setdefault(kind, rows[row].tolist())
+        chosen.setdefault(str(sorted(kinds[i] for i in rows[row])), rows[row].tolist())
     entries = []
     for some in chosen.values():
         told, together = information[some].sum(axis=0), [tests[i] for i in some]
@@ -271,15 +263,6 @@ def _check(problem: Problem) -> None:
         )
 
 
-def run_design(
-    source: Path,
-    folder: Path,
-    comm: MPI.Intracomm,
-    *,
-    after: Path | None = None,
-    criterion: Criterion | None = None,
-) -> None:
-    """Find the next tests and write them to a folder. Collective on comm."""
-    into_folder(
-        folder, (DESIGN, BARS), comm, lambda: design(source, comm, after=after, criterion=criterion)
-    )
+def run_design(source: Path, folder: Path, comm: MPI.Intracomm, **how: Any) -> None:
+    """Find the next tests as ``design`` does and write them to a folder. Collective on comm."""
+    into_folder(folder, (DESIGN, BARS), comm, lambda: design(source, comm, **how))

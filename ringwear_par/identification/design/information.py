@@ -15,16 +15,12 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import InputError
 from ringwear_par.files.folders import POSTERIOR
-from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
     Problem,
     Series,
-    body_of_wear,
 )
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.histories import Readings
@@ -55,12 +51,6 @@ class Candidate(NamedTuple):
     def seconds(self) -> float:
         """How long it takes."""
         return self.experiment.case.time.end
-
-    @property
-    def kind(self) -> tuple[float, ...]:
-        """What differs first: the load, or speed and duration where it does not vary."""
-        loads = tuple(self.keys[key] for key in LOADS if key in self.keys)
-        return loads or (self.keys.get("load.omega", 0.0), self.seconds)
 
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
@@ -144,10 +134,7 @@ class Before:
 
 
 def before_tests(problem: Problem, folder: Path | None) -> Before:
-    """Return what priors and bounds tell, or the draws of an earlier fit.
-
-    InputError where the folder is not that of a fit of the same keys.
-    """
+    """Return what priors and bounds tell, or the draws of an earlier fit of the same keys."""
     parameters, process = problem.parameters, problem.settings.process
     scatter = np.array([p.scatter.variance if p.scatter else 0.0 for p in parameters])
     if folder is None:
@@ -160,19 +147,14 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
         material = x + np.random.default_rng(0).standard_normal((_MANY, len(x))) * sd * known
     else:
         draws = read_draws(folder / POSTERIOR)
-        if sorted(draws.keys) != sorted(problem.keys):
-            raise InputError(
-                f"--after {folder / POSTERIOR}: keys = {shortened([*draws.keys])}: must be those "
-                f"of {problem.name}, {', '.join(problem.keys)}"
-            )
-        values = draws.values(draws.material)[:, [draws.keys.index(key) for key in problem.keys]]
-        material = np.array([problem.unknowns(row) for row in values])
+        draws.check_keys(problem)
+        material = np.array([problem.unknowns(row) for row in draws.material])
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
         vague = np.full(len(x), np.inf)
         for j, key in enumerate(problem.keys):
             found = [np.median(tau) ** 2 for (of, _), tau in draws.scatter.items() if of == key]
             scatter[j] = sum(found) if found else scatter[j]
-        sizes = [np.median(draws.process[:, BODIES.index(body_of_wear(key))]) for key in process]
+        sizes = [float(np.median(draws.process.get(key, 0.0))) for key in process]
     at = problem.values(x)
     slopes = np.array([p.slope(v) for p, v in zip(parameters, at, strict=True)])
     # few draws stand for all, at equal steps of their longest axis: where a posterior bends,
