@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,27 +10,25 @@ import numpy as np
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import changes_of, override
+from ringwear_par.cases.files.keys import changes_of, naming, override
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import input_keys, read_inputs
+from ringwear_par.identification.definition.inputs import read_inputs
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
     FittedParameter,
-    MeasuredInput,
     Series,
 )
-from ringwear_par.identification.definition.schema import reader_of
+from ringwear_par.identification.definition.schema import reader_of, tables_in
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
-_STEPPING = {"time.scheme": "adaptive"}
-_OUTPUT = {
-    "output.every": 1, "output.profiles": "all", "output.fields": ["wear_lower", "wear_upper"],
-    "output.boundary": "none", "stress": None,
+_STEPS_AND_OUTPUT = {
+    "time.scheme": "adaptive", "output.every": 1, "output.profiles": "all",
+    "output.fields": ["wear_lower", "wear_upper"], "output.boundary": "none", "stress": None,
 }  # fmt: skip
 
 
@@ -41,7 +38,6 @@ class ExperimentReader:
 
     #: of the fit file in messages, with that of another law
     name: str
-    folder: Path
     #: keys of the base case; None where it has faults
     base: Mapping[str, Any] | None
     files: FileStore
@@ -71,46 +67,39 @@ class ExperimentReader:
             return None
         row = "" if place.startswith("experiment ") else f"{place}: "
         place = reader.place = f'{self.name}: {row}experiment "{legible(name)}"'
-        changes = changes_of(reader, self.folder)
-        tables = reader.raw("input", [])
-        measured = input_keys(tables)
+        changes = changes_of(reader, self.files.folder)
+        inputs = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
+        measured = [key for key, _ in inputs if key is not None]
         known = changes if self.law is None else self.law
         refuse_twice(place, known, self.parameters, measured, self.faults)
-        case: Case | None = None
-        inputs: tuple[MeasuredInput, ...] = ()
-        if self.base is not None and len(self.faults) < MOST_FAULTS:  # more are not shown
-            keys = override(override(self.base, _STEPPING), changes)
-            places = {key: keys.get(key, 1.0) for key in measured}  # of what is read below
-            keys = override(keys, {**places, **_STEPPING, **_OUTPUT})
-            case = self._case(place, override(keys, self.law or {}), known)
-            if tables:
-                inputs, case = read_inputs(place, tables, case, self.files, self.faults)
+        case = self._case(place, changes, measured)
+        measured_inputs, case = read_inputs(inputs, case, self.files)
         specimen, batch, lab = (reader.read(group) for group in GROUPS)
-        data = reader.raw("data")
+        data = tables_in(reader, "data", needed=True)
         reader.finish()
-        if not isinstance(data, list) or not data:
-            reader.wrong("data", "must be tables, [[experiment.data]]")
-            return None
-        every = [
-            read_series(
-                f"{place}: data {number}", entry, case, self.files, self.faults, plans=self.plans
-            )
-            for number, entry in enumerate(data, start=1)
-        ]
+        every = [read_series(entry, case, self.files, self.plans) for entry in data]
         series = [one for one in every if one is not None]
         if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
             reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
         if case is None:
             return None
         groups = (specimen or name, batch or "", lab or "")
-        return Experiment(name, case, _named(series), groups, inputs)
+        return Experiment(name, case, _named(series), groups, measured_inputs)
 
-    def _case(self, place: str, keys: Mapping[str, Any], changes: Mapping[str, Any]) -> Case | None:
-        """Return a case with the parameters at their starts."""
+    def _case(self, place: str, changes: Mapping[str, Any], measured: Sequence[str]) -> Case | None:
+        """Return the case of a test with the parameters at their starts."""
+        if self.base is None:
+            return None
+        # of what is read later, a number
+        places = {key: self.base.get(key, 1.0) for key in measured}
         starts = {parameter.key: parameter.start for parameter in self.parameters}
-        changed = frozenset({*changes, *starts})
+        law = self.law or {}
+        origin = Origin(place, frozenset({*(law or changes), *starts}), f"{place}: set")
         try:
-            case = make_case(override(keys, starts), Origin(place, changed, f"{place}: set"))
+            with naming(f"{place}: set"):
+                keys = override(self.base, {**places, **changes, **_STEPS_AND_OUTPUT})
+                keys = override(keys, {**law, **starts})
+            case = make_case(keys, origin)
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:

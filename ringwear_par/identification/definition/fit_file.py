@@ -18,13 +18,12 @@ from ringwear_par.cases.files.keys import (
     written_units,
 )
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import Code, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader
-from ringwear_par.identification.definition.fitted_parameters import read_parameters, read_units
+from ringwear_par.identification.definition.fitted_parameters import read_parameters
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     FittedParameter,
@@ -36,7 +35,7 @@ from ringwear_par.identification.definition.scatter import (
     check_scatter,
     read_process,
 )
-from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
+from ringwear_par.identification.definition.schema import inner, keys_of, read_all, reader_of
 
 log = logging.getLogger(__name__)
 
@@ -70,22 +69,28 @@ def read_fit(
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     units = written_units(tables.get("case"), folder)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), units, faults)
+    settings, parameters = _read_settings(name, tables.get("fit", {}), units, faults)
     alone = running is not None and not others
     files = FileStore(folder, growing=alone)
-    reader = ExperimentReader(name, folder, base, files, plans, parameters, faults)
+    reader = ExperimentReader(name, base, files, plans, parameters, faults)
     tests = _experiment_tables(name, tables, base, files, faults)
     if running is not None:
         tests = _chosen(name, tests, running, others)
     experiments = reader.all(tests)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), units, faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), units, folder, faults)
+    design = _read_design_space(name, tables.get("design", {}), units, faults)
+    laws = {}
+    if not isinstance(entries := tables.get("compare", {}), Mapping):
+        faults.append(f"{name}: compare = {shortened(entries)}: must be a table")
+        entries = {}
+    for law, entry in entries.items():
+        of_law = reader_of("compare.NAME", f"{name}: compare.{legible(law)}", entry, faults)
+        laws[law] = changes_of(of_law, folder), read_parameters(of_law, units)
+        of_law.finish()
     _refuse(faults)
     whose = f"{name}: without {legible(running or '')}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
         return problem
-    check_censored(problem, faults)
     _check(problem, faults)
     _refuse(faults)  # other laws have many of them too
     alternatives = {}
@@ -172,57 +177,41 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_settings(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    name: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
-    if isinstance(table, Mapping) and (gone := [key for key in _GONE if key in table]):
-        log.warning("%s: %s: is not needed any more, and ignored", place, ", ".join(gone))
-        table = {key: value for key, value in table.items() if key not in gone}
-    reader = reader_of("fit", place, table, faults)
-    fitted = reader.raw("parameters")
-    units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)
-    parameters = read_parameters(f"{place}.parameters", fitted, faults, units, case_units)
+    """Return how to fit, and the fitted keys, of ``[fit]``."""
+    reader = reader_of("fit", f"{name}: fit", table, faults)
+    if gone := [key for key in _GONE if key in reader]:
+        log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
+        for key in gone:
+            reader.raw(key)
+    parameters = read_parameters(reader, case_units, reader.raw("units", {}))
     level, loss = reader.read("level"), reader.read("loss")
-    process = read_process(f"{place}.process", reader.raw("process", {}), faults)
+    process = read_process(reader)
     reader.finish()
     return Settings(level, loss, process), parameters
 
 
 def _read_design_space(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    name: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> DesignSpace:
-    """Return the space of ``[design]``; add what is wrong with it to the faults."""
-    reader = reader_of("design", place, table, faults)
+    """Return the space of ``[design]``."""
+    reader = reader_of("design", f"{name}: design", table, faults)
     criterion = reader.read("criterion")
-    vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
+    varied, budget = inner(reader, "vary"), inner(reader, "budget")
     reader.finish()
-    units = {key: unit for key, unit in case_units.items() if key in keys_of("design.vary")}
-    for key, entry in vary.items() if isinstance(vary, Mapping) else ():
+    keys = keys_of("design.vary")
+    units = {key: unit for key, unit in case_units.items() if key in keys}
+    for key in keys:
+        entry = varied.raw(key)
         if isinstance(entry, list) and entry and has_unit(entry[0]):
             units[key] = number_and_unit(entry[0])[1]
-    varied, values = read_all("design.vary", f"{place}.vary", vary, faults)
-    every = zip(keys_of("design.vary"), values, strict=True)
+    every = zip(keys, read_all(varied), strict=True)
     ranges = {key: value for key, value in every if value is not None}
     if all(key in ranges for key in _LOADS):
         varied.fault("load.pressure and load.force: only one of them may vary")
-    _, (seconds, count) = read_all("design.budget", f"{place}.budget", budget, faults)
+    seconds, count = read_all(budget)
     return DesignSpace(criterion, ranges, seconds, count, units)
-
-
-def _read_alternatives(
-    place: str, table: Any, case_units: Mapping[str, str], folder: Path, faults: list[str]
-) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
-    """Return case keys and fitted keys of other laws."""
-    laws = {}
-    if not isinstance(table, Mapping):
-        faults.append(f"{place} = {shortened(table)}: must be a table")
-        return {}
-    for name, entry in table.items():
-        reader = TableReader(f"{place}.{legible(name)}", entry, faults)
-        changes, fitted = changes_of(reader, folder), reader.raw("parameters")
-        place_of_keys = f"{reader.place}.parameters"
-        laws[name] = changes, read_parameters(place_of_keys, fitted, faults, {}, case_units)
-        reader.finish()
-    return laws
 
 
 def _check(problem: Problem, faults: list[str]) -> None:
@@ -235,5 +224,27 @@ def _check(problem: Problem, faults: list[str]) -> None:
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )
+    _check_censored(problem, faults)
     check_scatter(problem, faults)
     check_process(problem, faults)
+
+
+def _check_censored(problem: Problem, faults: list[str]) -> None:
+    """Refuse what does not go together with censored readings."""
+    every = [(test.name, series) for test in problem.experiments for series in test.series]
+    for test, series in every:
+        if series.censored is None or not series.censored.any():
+            continue
+        rules = {
+            'must be absent with loss = "student"': problem.settings.loss == "student",
+            "must be absent with process": bool(problem.settings.process),
+            "must be absent with correlation_time": series.correlation_time > 0.0,
+            'needs sd as a number where all readings are: must not be "fit"':
+                series.sd_fitted and series.censored.all(),
+        }  # fmt: skip
+        place = f'{problem.name}: experiment "{legible(test)}": {series.name}'
+        faults += [
+            Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
+            for rule, broken in rules.items()
+            if broken
+        ]
