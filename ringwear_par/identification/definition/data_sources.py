@@ -72,7 +72,7 @@ def _as_faults(reader: TableReader, key: str) -> Iterator[None]:
 
 
 def read_readings(
-    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore, plans: bool
+    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore
 ) -> Readings | None:
     """Return the readings of a table of a fit file at ``at`` (s) or until the end (s) of the test.
 
@@ -87,9 +87,9 @@ def read_readings(
         return _from_file(reader, kind, end, files)
     planned, unit = kind == "profile" or "value" not in reader, reader.raw("unit", "")
     once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
-    if planned and not (plans and (once or where in reader)):
-        rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
-        reader.wrong("value" if once else "file", rule)
+    if planned and not once and where not in reader:
+        rule = f"must be given, or {where} of planned readings"
+        reader.wrong("file", rule)
         return None
     refuse(reader, f"with {where if planned else 'value'}", "file", *_OF_FILE)
     x, value, key = np.array([end if at is None else at]), 0.0, "unit"

@@ -32,78 +32,42 @@ _STEPS_AND_OUTPUT = {
 }  # fmt: skip
 
 
-@dataclass
-class ExperimentReader:
-    """Reads the experiments of a fit file under one law."""
+@dataclass(frozen=True)
+class Cases:
+    """Makes the cases of tests under one law."""
 
-    #: of the fit file in messages, with that of another law
-    name: str
     #: keys of the base case; None where it has faults
     base: Mapping[str, Any] | None
-    files: FileStore
-    #: whether readings may be planned
-    plans: bool
     parameters: tuple[FittedParameter, ...]
     faults: list[str]
-    #: case keys of another law
+    #: case keys of another law; None: that of the base case and the tests
     law: Mapping[str, Any] | None = None
 
-    def all(self, tables: Sequence[tuple[str, Any]]) -> tuple[Experiment, ...]:
-        """Return all experiments, and add what is wrong with them to the faults.
+    def of(self, place: str, changes: Mapping[str, Any], measured: Sequence[str]) -> Case | None:
+        """Return the case of a test with the parameters at their starts; None, and faults.
 
         Parameters
         ----------
-        tables : of the fit file, each with where it stands.
+        place : how sentences about it begin.
+        changes : case keys that the test sets.
+        measured : case keys that are inputs; they are numbers here.
         """
-        every = [self._experiment(place, table) for place, table in tables]
-        experiments = tuple(experiment for experiment in every if experiment is not None)
-        self._refuse_twins(experiments)
-        return experiments
-
-    def _experiment(self, place: str, table: Any) -> Experiment | None:
-        reader = reader_of("experiment", f"{self.name}: {place}", table, self.faults)
-        name = reader.read("name")
-        if name is None:
-            return None
-        row = "" if place.startswith("experiment ") else f"{place}: "
-        place = reader.place = f'{self.name}: {row}experiment "{legible(name)}"'
-        changes = changes_of(reader, self.files.folder)
-        inputs = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
-        measured = [key for key, _ in inputs if key is not None]
         known = changes if self.law is None else self.law
         refuse_twice(place, known, self.parameters, measured, self.faults)
-        case = self._case(place, changes, measured)
-        measured_inputs, case = read_inputs(inputs, case, self.files)
-        specimen, batch, lab = (reader.read(group) for group in GROUPS)
-        data = tables_in(reader, "data", needed=True)
-        reader.finish()
-        every = [read_series(entry, case, self.files, self.plans) for entry in data]
-        series = [one for one in every if one is not None]
-        if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
-            reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
-        if case is None:
-            return None
-        groups = (specimen or name, batch or "", lab or "")
-        return Experiment(name, case, _named(series), groups, measured_inputs)
-
-    def _case(self, place: str, changes: Mapping[str, Any], measured: Sequence[str]) -> Case | None:
-        """Return the case of a test with the parameters at their starts."""
         if self.base is None:
             return None
-        # of what is read later, a number
         places = {key: self.base.get(key, 1.0) for key in measured}
         starts = {parameter.key: parameter.start for parameter in self.parameters}
-        law = self.law or {}
-        origin = Origin(place, frozenset({*(law or changes), *starts}), f"{place}: set")
+        origin = Origin(place, frozenset({*known, *starts}), f"{place}: set")
         try:
-            with naming(f"{place}: set"):
+            with naming(origin.setting):
                 keys = override(self.base, {**places, **changes, **_STEPS_AND_OUTPUT})
-                keys = override(keys, {**law, **starts})
+                keys = override(keys, {**(self.law or {}), **starts})
             case = make_case(keys, origin)
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
-            self.faults += error.faults
+            self.faults.extend(error.faults)
             return None
         if case.mesh.geometry == "updated":
             sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
@@ -112,23 +76,85 @@ class ExperimentReader:
         refuse_unfit(place, self.parameters, case, self.faults)
         return case
 
-    def _refuse_twins(self, experiments: Sequence[Experiment]) -> None:
-        """Refuse experiments of one name, and the same lines of a file in two series."""
-        names, seen = set[str](), list[tuple[str, Series]]()
-        for experiment in experiments:
-            place = f'{self.name}: experiment "{legible(experiment.name)}"'
-            if experiment.name in names:
-                sentence = f"{place}: is there twice; names must differ"
-                self.faults.append(Fault(sentence, "experiment.name", "conflict"))
-                continue
-            names.add(experiment.name)
-            for series in experiment.series:
-                self.faults += [
-                    f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                    f'"{legible(owner)}"; must be read once'
-                    for owner, earlier in seen if _same_readings(series, earlier)
-                ]  # fmt: skip
-                seen.append((experiment.name, series))
+
+def read_experiments(
+    name: str, tables: Sequence[tuple[str, Any]], cases: Cases, files: FileStore
+) -> tuple[Experiment, ...]:
+    """Return all experiments of a fit file; what is wrong with them is added to the faults.
+
+    Parameters
+    ----------
+    name : of the fit file.
+    tables : each with where it stands.
+    """
+    every = [_experiment(name, place, table, cases, files) for place, table in tables]
+    experiments = tuple(experiment for experiment in every if experiment is not None)
+    _refuse_twins(name, experiments, cases.faults)
+    return experiments
+
+
+def _experiment(
+    file: str, place: str, table: Any, cases: Cases, files: FileStore
+) -> Experiment | None:
+    reader = reader_of("experiment", f"{file}: {place}", table, cases.faults)
+    name = reader.read("name")
+    if name is None:
+        return None
+    row = "" if place.startswith("experiment ") else f"{place}: "
+    reader.place = f'{file}: {row}experiment "{legible(name)}"'
+    changes = changes_of(reader, files.folder)
+    keyed = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
+    measured = [key for key, _ in keyed if key is not None]
+    case = cases.of(reader.place, changes, measured)
+    inputs, case = read_inputs(keyed, case, files)
+    specimen, batch, lab = (reader.read(group) for group in GROUPS)
+    data = tables_in(reader, "data", needed=True)
+    reader.finish()
+    every = [read_series(entry, case, files) for entry in data]
+    series = [one for one in every if one is not None]
+    if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
+        reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
+    if case is None:
+        return None
+    groups = (specimen or name, batch or "", lab or "")
+    return Experiment(name, case, _named(series), groups, inputs, changes)
+
+
+def under_law(name: str, tests: Sequence[Experiment], cases: Cases) -> tuple[Experiment, ...]:
+    """Return tests under another law, as far as it is right; faults are added to its own.
+
+    Parameters
+    ----------
+    name : of the law in messages.
+    """
+    every = []
+    for test in tests:
+        place = f'{name}: experiment "{legible(test.name)}"'
+        case = cases.of(place, test.changes, [entry.key for entry in test.inputs])
+        if case is not None:
+            for entry in test.inputs:
+                case = entry.applied(case)
+            every.append(replace(test, case=case))
+    return tuple(every)
+
+
+def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
+    """Refuse experiments of one name, and the same lines of a file in two series."""
+    names, seen = set[str](), list[tuple[str, Series]]()
+    for experiment in experiments:
+        place = f'{name}: experiment "{legible(experiment.name)}"'
+        if experiment.name in names:
+            sentence = f"{place}: is there twice; names must differ"
+            faults.append(Fault(sentence, "experiment.name", "conflict"))
+            continue
+        names.add(experiment.name)
+        for series in experiment.series:
+            faults += [
+                f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                f'"{legible(owner)}"; must be read once'
+                for owner, earlier in seen if _same_readings(series, earlier)
+            ]  # fmt: skip
+            seen.append((experiment.name, series))
 
 
 def _same_readings(a: Series, b: Series) -> bool:

@@ -15,17 +15,21 @@ from ringwear_par.cases.files.keys import (
     kinds,
     read_keys,
     source_tables,
-    written_units,
 )
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import Code, Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.experiments import ExperimentReader
+from ringwear_par.identification.definition.experiments import (
+    Cases,
+    read_experiments,
+    under_law,
+)
 from ringwear_par.identification.definition.fitted_parameters import read_parameters
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
+    Experiment,
     FittedParameter,
     Problem,
     Settings,
@@ -68,23 +72,24 @@ def read_fit(
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    units = written_units(tables.get("case"), folder)
-    settings, parameters = _read_settings(name, tables.get("fit", {}), units, faults)
+    settings, parameters = _read_settings(name, tables.get("fit", {}), faults)
     alone = running is not None and not others
     files = FileStore(folder, growing=alone)
-    reader = ExperimentReader(name, base, files, plans, parameters, faults)
+    cases = Cases(base, parameters, faults)
     tests = _experiment_tables(name, tables, base, files, faults)
     if running is not None:
         tests = _chosen(name, tests, running, others)
-    experiments = reader.all(tests)
-    design = _read_design_space(name, tables.get("design", {}), units, faults)
+    experiments = read_experiments(name, tests, cases, files)
+    if not plans:
+        _refuse_plans(name, experiments, faults)
+    design = _read_design_space(name, tables.get("design", {}), faults)
     laws = {}
     if not isinstance(entries := tables.get("compare", {}), Mapping):
         faults.append(f"{name}: compare = {shortened(entries)}: must be a table")
         entries = {}
     for law, entry in entries.items():
         of_law = reader_of("compare.NAME", f"{name}: compare.{legible(law)}", entry, faults)
-        laws[law] = changes_of(of_law, folder), read_parameters(of_law, units)
+        laws[law] = changes_of(of_law, folder), read_parameters(of_law)
         of_law.finish()
     _refuse(faults)
     whose = f"{name}: without {legible(running or '')}" if others else name
@@ -96,7 +101,7 @@ def read_fit(
     alternatives = {}
     for law, (changes, fitted) in laws.items():
         place = f"{name}: compare.{legible(law)}"
-        other = replace(reader, name=place, parameters=fitted, law=changes).all(tests)
+        other = under_law(place, experiments, Cases(base, fitted, faults, changes))
         alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
         if not faults:
             _check(alternatives[law], faults)
@@ -177,7 +182,7 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_settings(
-    name: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    name: str, table: Any, faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
     """Return how to fit, and the fitted keys, of ``[fit]``."""
     reader = reader_of("fit", f"{name}: fit", table, faults)
@@ -185,33 +190,42 @@ def _read_settings(
         log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
         for key in gone:
             reader.raw(key)
-    parameters = read_parameters(reader, case_units, reader.raw("units", {}))
+    parameters = read_parameters(reader, reader.raw("units", {}))
     level, loss = reader.read("level"), reader.read("loss")
     process = read_process(reader)
     reader.finish()
     return Settings(level, loss, process), parameters
 
 
-def _read_design_space(
-    name: str, table: Any, case_units: Mapping[str, str], faults: list[str]
-) -> DesignSpace:
+def _read_design_space(name: str, table: Any, faults: list[str]) -> DesignSpace:
     """Return the space of ``[design]``."""
     reader = reader_of("design", f"{name}: design", table, faults)
     criterion = reader.read("criterion")
     varied, budget = inner(reader, "vary"), inner(reader, "budget")
     reader.finish()
-    keys = keys_of("design.vary")
-    units = {key: unit for key, unit in case_units.items() if key in keys}
-    for key in keys:
+    units = {}
+    for key in keys_of("design.vary"):
         entry = varied.raw(key)
         if isinstance(entry, list) and entry and has_unit(entry[0]):
             units[key] = number_and_unit(entry[0])[1]
-    every = zip(keys, read_all(varied), strict=True)
+    every = zip(keys_of("design.vary"), read_all(varied), strict=True)
     ranges = {key: value for key, value in every if value is not None}
     if all(key in ranges for key in _LOADS):
         varied.fault("load.pressure and load.force: only one of them may vary")
     seconds, count = read_all(budget)
     return DesignSpace(criterion, ranges, seconds, count, units)
+
+
+def _refuse_plans(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
+    """Refuse readings that are planned, where there must be some."""
+    for test in experiments:
+        for series in test.series:
+            if series.planned:
+                sentence = (
+                    f'{name}: experiment "{legible(test.name)}": {series.name}: file or value'
+                )
+                rule = "must be given; planned readings are for --dry-run and ringwear design"
+                faults.append(Fault(f"{sentence} {rule}", "experiment.data.file", "missing"))
 
 
 def _check(problem: Problem, faults: list[str]) -> None:

@@ -29,14 +29,11 @@ from ringwear_par.studies.variations import split_key, unnested
 _ELASTIC = ("thickness", "young", "poisson")
 
 
-def read_parameters(
-    reader: TableReader, case_units: Mapping[str, str], told: Any = None
-) -> tuple[FittedParameter, ...]:
+def read_parameters(reader: TableReader, told: Any = None) -> tuple[FittedParameter, ...]:
     """Return the fitted keys of a table; what is wrong with them is added to its faults.
 
     Parameters
     ----------
-    case_units : in which numbers of the case are written, by key.
     told : the table ``units``, of units in which keys are to be reported.
     """
     table, faults = reader.raw("parameters"), reader.faults
@@ -48,50 +45,41 @@ def read_parameters(
     if told is not None and not isinstance(told, Mapping):
         reader.wrong("units", "must be a table of units by fitted key")
     units = unnested(told, set()) if isinstance(told, Mapping) else {}
-    place = f"{reader.place}.units"
-    name_unknown_keys(place, units, list(entries), faults, "is not fitted", "fit.units")
-    parameters = []
-    for key, entry in entries.items():
-        start = entry.get("start") if isinstance(entry, Mapping) else None
-        unit = number_and_unit(str(start))[1] if has_unit(start) else case_units.get(key, "")
-        if key in units:
-            unit = str(units[key])
-            if not _fits(unit, key):
-                state = f'{place}."{legible(key)}" = {shortened(units[key])}'
-                sentence = f"{state}: must be a unit of {base_unit(key) or 'a parameter'}"
-                faults.append(Fault(sentence, f"fit.units.{key}", "unit"))
-        # one that does not fit may be of another law of the case
-        unit = unit if _fits(unit, key) else ""
-        parameters.append(_parameter(reader, key, entry, unit))
+    place, known = f"{reader.place}.units", [*entries]
+    name_unknown_keys(place, units, known, faults, "is not fitted", "fit.units")
+    parameters = [_parameter(reader, *entry, units.get(entry[0])) for entry in entries.items()]
     return tuple(parameter for parameter in parameters if parameter is not None)
 
 
-def _fits(unit: str, key: str) -> bool:
-    """Tell whether a unit is one of a key."""
-    try:
-        return bool(factor(unit, base_unit(key)))
-    except RejectedError:
-        return False
-
-
-def _parameter(reader: TableReader, key: str, table: Any, unit: str) -> FittedParameter | None:
-    place, faults, layer = f"{reader.place}.parameters", reader.faults, layer_entry(key)
-    place = f'{place}."{legible(key)}"'
-    path, part = split_key(key)
+def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedParameter | None:
+    """Return a fitted key, reported in the unit ``told`` or in that of its start."""
+    place, faults, layer = reader.place, reader.faults, layer_entry(key)
+    name, base, (path, part) = legible(key), base_unit(key), split_key(key)
     number = interval_of((path, part if part is None else str(part)))
     elastic = layer is not None and layer[2] in _ELASTIC
     if path.startswith("time.") or not (number or elastic):
+        near = "" if path in BY_PATH else nearest_key(path)
         sentence = (
-            f"{place}: cannot be fitted{'' if path in BY_PATH else nearest_key(path)}; must be a "
-            "number of a wear law, contact.friction, a load, load.omega, a modulus, or a layer's "
-            "thickness or Poisson's ratio"
+            f'{place}.parameters."{name}": cannot be fitted{near}; must be a number of a wear law, '
+            "contact.friction, a load, load.omega, a modulus, or a layer's thickness or Poisson's "
+            "ratio"
         )
         faults.append(Fault(sentence, f"fit.parameters.{key}", "not_allowed"))
         return None
-    before, base = len(faults), base_unit(key)
+    before = len(faults)
+    written = table.get("start") if isinstance(table, Mapping) else None
+    unit = number_and_unit(str(written))[1] if has_unit(written) else ""
+    unit = unit if told is None else str(told)
+    try:
+        unit = "" if not unit or math.isclose(factor(unit, base), 1.0) else unit
+    except RejectedError:  # that of the start is refused below
+        if told is not None:
+            state = f'{place}.units."{name}" = {shortened(told)}'
+            sentence = f"{state}: must be a unit of {base or 'a parameter'}"
+            faults.append(Fault(sentence, f"fit.units.{key}", "unit"))
     if base is None:  # of a user's law, whose numbers have any unit
         table = in_unit_where_right(table, None)
-    entry = reader_of("fit.parameters.KEY", place, table, faults)
+    entry = reader_of("fit.parameters.KEY", f'{place}.parameters."{name}"', table, faults)
     start, bounds, prior = (entry.read(name, unit=base) for name in ("start", "bounds", "prior"))
     log = entry.read("scale") == "log"
     scatter = read_scatter(entry, key, log, base or "")
@@ -102,8 +90,7 @@ def _parameter(reader: TableReader, key: str, table: Any, unit: str) -> FittedPa
         check_start(entry, start, bounds)
     if len(faults) > before:
         return None
-    own = bool(unit) and math.isclose(factor(unit, base), 1.0)
-    return FittedParameter(key, start, bounds, log, prior, scatter, "" if own else unit)
+    return FittedParameter(key, start, bounds, log, prior, scatter, unit)
 
 
 def unit_scale(parameter: FittedParameter) -> float:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from ringwear_par.identification.definition.series import (
     is_outside,
     refuse_readings,
 )
-from ringwear_par.schedules import in_time, points_of
+from ringwear_par.schedules import in_time
 
 #: share of the test that an input must cover
 _COVERED = 0.95
@@ -37,14 +36,13 @@ def read_inputs(
     readers : of their tables, each with its key; None of a wrong one.
     case : has numbers in the places of what was measured.
     """
-    curves, inputs = dict[str, Any](), list[MeasuredInput]()
+    inputs = list[MeasuredInput]()
     # friction needs the load
     for key, reader in sorted(readers, key=lambda entry: entry[0] == "contact.friction"):
         entry = _input(key, reader, case, files)
         if case is not None and entry is not None:
             inputs.append(entry)
-            curves[entry.key] = points_of(entry.curve(case))
-            case = case.replace(curves)
+            case = entry.applied(case)
     return tuple(inputs), case
 
 
@@ -64,7 +62,7 @@ def _input(
     reader.read("quantity")
     if key is not None and "file" in reader:
         kind = "torque" if of_torque else key.partition(".")[2]
-        readings = read_readings(reader, kind, None, end, files, plans=False)
+        readings = read_readings(reader, kind, None, end, files)
     else:
         reader.read("file")
         for name in ("columns", "units", "skip", "drop"):

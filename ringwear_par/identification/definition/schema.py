@@ -189,7 +189,7 @@ KEYS: tuple[Key, ...] = (
         "default 0.1", None),
     Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
         "unit in which the key is reported beside the case's; default: the one in which its start "
-        "is written, or else its number in the case", None),
+        "is written", None),
     Key("fit.level", *number(0.5, 1.0), "1", "confidence level of the intervals", _USUAL.level),
     Key("fit.loss", *one_of(*get_args(Loss)), "-",
         "distribution of the noise: gaussian, or student (4 degrees of freedom) against outliers",

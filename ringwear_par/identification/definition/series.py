@@ -43,15 +43,12 @@ _NUISANCE = "experiment.data.nuisance.KIND"
 BLOCKS = 500
 
 
-def read_series(
-    reader: TableReader, case: Case | None, files: FileStore, plans: bool
-) -> Series | None:
+def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Series | None:
     """Return the readings of a table; None, and its faults, where it has some.
 
     Parameters
     ----------
     case : of its test; one that has faults itself is None.
-    plans : whether readings may be planned.
     """
     before, quantity = len(reader.faults), reader.read("quantity")
     if quantity is None:
@@ -80,7 +77,7 @@ def read_series(
             f"must be at most {_LONGEST_CORRELATION:g} times the test, which ends at {end:g} s; "
             "noise that never changes is an offset",
         )
-    readings = read_readings(reader, kind, at, end, files, plans)
+    readings = read_readings(reader, kind, at, end, files)
     if readings is None:
         for name in ("sd", "censored"):
             reader.raw(name)
