@@ -12,6 +12,7 @@ from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import changes_of, naming, override
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
@@ -22,7 +23,7 @@ from ringwear_par.identification.definition.problem import (
     FittedParameter,
     Series,
 )
-from ringwear_par.identification.definition.schema import reader_of, tables_in
+from ringwear_par.identification.definition.schema import tables_in
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -78,30 +79,26 @@ class Cases:
 
 
 def read_experiments(
-    name: str, tables: Sequence[tuple[str, Any]], cases: Cases, files: FileStore
+    name: str, readers: Sequence[TableReader], cases: Cases, files: FileStore
 ) -> tuple[Experiment, ...]:
     """Return all experiments of a fit file; what is wrong with them is added to the faults.
 
     Parameters
     ----------
     name : of the fit file.
-    tables : each with where it stands.
+    readers : of the tables of the experiments.
     """
-    every = [_experiment(name, place, table, cases, files) for place, table in tables]
+    every = [_experiment(reader, cases, files) for reader in readers]
     experiments = tuple(experiment for experiment in every if experiment is not None)
     _refuse_twins(name, experiments, cases.faults)
     return experiments
 
 
-def _experiment(
-    file: str, place: str, table: Any, cases: Cases, files: FileStore
-) -> Experiment | None:
-    reader = reader_of("experiment", f"{file}: {place}", table, cases.faults)
+def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experiment | None:
     name = reader.read("name")
     if name is None:
         return None
-    row = "" if place.startswith("experiment ") else f"{place}: "
-    reader.place = f'{file}: {row}experiment "{legible(name)}"'
+    reader.place = f'{reader.place} "{legible(name)}"'
     changes = changes_of(reader, files.folder)
     keyed = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
     measured = [key for key, _ in keyed if key is not None]

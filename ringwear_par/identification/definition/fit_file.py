@@ -17,10 +17,9 @@ from ringwear_par.cases.files.keys import (
     source_tables,
 )
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
-from ringwear_par.cases.tables import name_unknown_keys
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
-from ringwear_par.errors import Code, Fault, InputError, legible
-from ringwear_par.files.text import shortened
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.identification.definition.experiments import (
     Cases,
     read_experiments,
@@ -32,6 +31,7 @@ from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
     Problem,
+    Series,
     Settings,
 )
 from ringwear_par.identification.definition.scatter import (
@@ -39,15 +39,20 @@ from ringwear_par.identification.definition.scatter import (
     check_scatter,
     read_process,
 )
-from ringwear_par.identification.definition.schema import inner, keys_of, read_all, reader_of
+from ringwear_par.identification.definition.schema import (
+    inner,
+    keys_of,
+    read_all,
+    reader_of,
+    tables_in,
+)
 
 log = logging.getLogger(__name__)
 
 #: keys of the search for an optimum, which files of laboratories still have
 _GONE = ("starts", "method")
-_TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
 #: beginning of the faults of a test
-_TEST = re.compile(r'.*?: (?:line \d+: )?experiment "(?:[^"\\]|\\.)*": ')
+_TEST = re.compile(r'.*?(?:experiment|line)(?: \d+)? "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
 
@@ -70,37 +75,33 @@ def read_fit(
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
-    name_unknown_keys(name, tables, _TABLES, faults)
+    file = TableReader(name, tables, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    settings, parameters = _read_settings(name, tables.get("fit", {}), faults)
+    settings, parameters = _read_settings(inner(file, "fit"))
     alone = running is not None and not others
     files = FileStore(folder, growing=alone)
-    cases = Cases(base, parameters, faults)
-    tests = _experiment_tables(name, tables, base, files, faults)
+    tests = _tests(file, base, files)
     if running is not None:
-        tests = _chosen(name, tests, running, others)
-    experiments = read_experiments(name, tests, cases, files)
-    if not plans:
-        _refuse_plans(name, experiments, faults)
-    design = _read_design_space(name, tables.get("design", {}), faults)
-    laws = {}
-    if not isinstance(entries := tables.get("compare", {}), Mapping):
-        faults.append(f"{name}: compare = {shortened(entries)}: must be a table")
-        entries = {}
-    for law, entry in entries.items():
-        of_law = reader_of("compare.NAME", f"{name}: compare.{legible(law)}", entry, faults)
-        laws[law] = changes_of(of_law, folder), read_parameters(of_law)
-        of_law.finish()
+        tests = _chosen(file, tests, running, others)
+    experiments = read_experiments(name, tests, Cases(base, parameters, faults), files)
+    faults += () if plans else _planned(name, experiments)
+    design = _read_design_space(inner(file, "design"))
+    compared, laws = inner(file, "compare"), {}
+    for law in [*compared.keys()]:
+        reader = inner(compared, law, "compare.NAME")
+        laws[law] = changes_of(reader, folder), read_parameters(reader)
+        reader.finish()
+    file.raw("case")
+    file.finish()
     _refuse(faults)
     whose = f"{name}: without {legible(running or '')}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
         return problem
     _check(problem, faults)
-    _refuse(faults)  # other laws have many of them too
     alternatives = {}
     for law, (changes, fitted) in laws.items():
-        place = f"{name}: compare.{legible(law)}"
+        place = f"{name}: compare: {legible(law)}"
         other = under_law(place, experiments, Cases(base, fitted, faults, changes))
         alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
         if not faults:
@@ -124,51 +125,41 @@ def _refuse(faults: Sequence[str]) -> None:
 
 
 def _chosen(
-    name: str, tests: list[tuple[str, Any]], running: str, others: bool
-) -> list[tuple[str, Any]]:
+    file: TableReader, tests: list[TableReader], running: str, others: bool
+) -> list[TableReader]:
     """Return the table of the running test, or of all others, out of those of a fit file."""
-    names = [table.get("name") if isinstance(table, Mapping) else None for _, table in tests]
-    known = [named for named in names if isinstance(named, str)]
+    known = [name for test in tests if isinstance(name := test.raw("name"), str)]
     if not known:  # which their readers say
         return tests
     running = running or known[-1]
     if running not in known:
         every = ", ".join(map(legible, known))
-        raise InputError(f"--test = {legible(running)}: must be one of {every} of {name}")
+        raise InputError(f"--test = {legible(running)}: must be one of {every} of {file.place}")
     if others and len(tests) == 1:
         raise InputError(
-            f"{name}: has no test but {legible(running)}; --after must name the folder of a fit of "
-            "others"
+            f"{file.place}: has no test but {legible(running)}; --after must name the folder of a "
+            "fit of others"
         )
-    return [
-        one for one, named in zip(tests, names, strict=True) if (named == running) is not others
-    ]
+    return [test for test in tests if (test.raw("name") == running) is not others]
 
 
-def _experiment_tables(
-    name: str,
-    file: Mapping[str, Any],
-    base: Mapping[str, Any] | None,
-    files: FileStore,
-    faults: list[str],
-) -> list[tuple[str, Any]]:
-    """Return the tables of a fit file's tests, each with where it stands.
+def _tests(
+    file: TableReader, base: Mapping[str, Any] | None, files: FileStore
+) -> list[TableReader]:
+    """Return the tables of a fit file's tests.
 
     Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
     dotted keys of their case, None where that has faults.
     """
-    written = file.get("experiment", [] if "tests" in file else None)
-    if not isinstance(written, list) or not (written or "tests" in file):
-        state = "is missing" if written is None else f"= {shortened(written)}"
-        code: Code = "missing" if written is None else "not_allowed"
-        sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
-        faults.append(Fault(sentence, "experiment", code))
-        return []
-    tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
+    written = tables_in(file, "experiment", needed="tests" not in file)
     if "tests" not in file:
-        return tables
-    tests = laboratory_tests(f"{name}: tests", file["tests"], keys_of("tests"), base, files, faults)
-    return [*tables, *tests.items()]
+        return written
+    place, keys = f"{file.place}: tests", keys_of("tests")
+    rows = laboratory_tests(place, file.raw("tests"), keys, base, files, file.faults)
+    return written + [
+        reader_of("experiment", f"{file.place}: {row}", table, file.faults)
+        for row, table in rows.items()
+    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
@@ -181,11 +172,8 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
     return {**source, "case": read_keys(case.text)}
 
 
-def _read_settings(
-    name: str, table: Any, faults: list[str]
-) -> tuple[Settings, tuple[FittedParameter, ...]]:
+def _read_settings(reader: TableReader) -> tuple[Settings, tuple[FittedParameter, ...]]:
     """Return how to fit, and the fitted keys, of ``[fit]``."""
-    reader = reader_of("fit", f"{name}: fit", table, faults)
     if gone := [key for key in _GONE if key in reader]:
         log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
         for key in gone:
@@ -197,9 +185,8 @@ def _read_settings(
     return Settings(level, loss, process), parameters
 
 
-def _read_design_space(name: str, table: Any, faults: list[str]) -> DesignSpace:
+def _read_design_space(reader: TableReader) -> DesignSpace:
     """Return the space of ``[design]``."""
-    reader = reader_of("design", f"{name}: design", table, faults)
     criterion = reader.read("criterion")
     varied, budget = inner(reader, "vary"), inner(reader, "budget")
     reader.finish()
@@ -216,16 +203,23 @@ def _read_design_space(name: str, table: Any, faults: list[str]) -> DesignSpace:
     return DesignSpace(criterion, ranges, seconds, count, units)
 
 
-def _refuse_plans(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
-    """Refuse readings that are planned, where there must be some."""
-    for test in experiments:
-        for series in test.series:
-            if series.planned:
-                sentence = (
-                    f'{name}: experiment "{legible(test.name)}": {series.name}: file or value'
-                )
-                rule = "must be given; planned readings are for --dry-run and ringwear design"
-                faults.append(Fault(f"{sentence} {rule}", "experiment.data.file", "missing"))
+def _placed(name: str, experiments: Sequence[Experiment]) -> list[tuple[str, Series]]:
+    """Return all series of experiments, each with how sentences about it begin."""
+    return [
+        (f'{name}: experiment "{legible(experiment.name)}": {series.name}', series)
+        for experiment in experiments
+        for series in experiment.series
+    ]
+
+
+def _planned(name: str, experiments: Sequence[Experiment]) -> list[Fault]:
+    """Return the faults of readings that are planned, where there must be some."""
+    rule = "file or value must be given; planned readings are for --dry-run and ringwear design"
+    return [
+        Fault(f"{place}: {rule}", "experiment.data.file", "missing")
+        for place, series in _placed(name, experiments)
+        if series.planned
+    ]
 
 
 def _check(problem: Problem, faults: list[str]) -> None:
@@ -245,8 +239,7 @@ def _check(problem: Problem, faults: list[str]) -> None:
 
 def _check_censored(problem: Problem, faults: list[str]) -> None:
     """Refuse what does not go together with censored readings."""
-    every = [(test.name, series) for test in problem.experiments for series in test.series]
-    for test, series in every:
+    for place, series in _placed(problem.name, problem.experiments):
         if series.censored is None or not series.censored.any():
             continue
         rules = {
@@ -256,7 +249,6 @@ def _check_censored(problem: Problem, faults: list[str]) -> None:
             'needs sd as a number where all readings are: must not be "fit"':
                 series.sd_fitted and series.censored.all(),
         }  # fmt: skip
-        place = f'{problem.name}: experiment "{legible(test)}": {series.name}'
         faults += [
             Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
             for rule, broken in rules.items()

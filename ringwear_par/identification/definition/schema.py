@@ -20,6 +20,7 @@ from ringwear_par.cases.values import (
     text,
     whole,
 )
+from ringwear_par.errors import legible
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
     Criterion,
@@ -358,13 +359,14 @@ def inner(reader: TableReader, name: str, schema: str = "") -> TableReader:
     ----------
     schema : its dotted name in the schema; "": that of the table, and its own.
     """
-    place, table = f"{reader.place}: {name}", reader.raw(name, {})
-    return reader_of(schema or f"{reader.loc}.{name}", place, table, reader.faults)
+    place, table = f"{reader.place}: {legible(name)}", reader.raw(name, {})
+    name = f"{reader.loc}.{name}".lstrip(".")
+    return reader_of(schema or name, place, table, reader.faults)
 
 
 def tables_in(reader: TableReader, name: str, *, needed: bool = False) -> list[TableReader]:
     """Return the readers of a list of tables within a table; none, and a fault, of others."""
-    tables, whole_name = reader.raw(name, []), f"{reader.loc}.{name}"
+    tables, whole_name = reader.raw(name, []), f"{reader.loc}.{name}".lstrip(".")
     if not isinstance(tables, list) or (needed and not tables):
         reader.wrong(name, f"must be tables, [[{whole_name}]]")
         return []
