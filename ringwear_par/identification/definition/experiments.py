@@ -27,9 +27,10 @@ from ringwear_par.identification.definition.schema import tables_in
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
-_STEPS_AND_OUTPUT = {
-    "time.scheme": "adaptive", "output.every": 1, "output.profiles": "all",
-    "output.fields": ["wear_lower", "wear_upper"], "output.boundary": "none", "stress": None,
+_STEPPING = {"time.scheme": "adaptive"}
+_OUTPUT = {
+    "output.every": 1, "output.profiles": "all", "output.fields": ["wear_lower", "wear_upper"],
+    "output.boundary": "none", "stress": None,
 }  # fmt: skip
 
 
@@ -62,8 +63,8 @@ class Cases:
         origin = Origin(place, frozenset({*known, *starts}), f"{place}: set")
         try:
             with naming(origin.setting):
-                keys = override(self.base, {**places, **changes, **_STEPS_AND_OUTPUT})
-                keys = override(keys, {**(self.law or {}), **starts})
+                keys = override(self.base, {**places, **changes, **_STEPPING})
+                keys = override(keys, {**_OUTPUT, **(self.law or {}), **starts})
             case = make_case(keys, origin)
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)

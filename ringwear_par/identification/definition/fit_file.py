@@ -232,6 +232,7 @@ def _check(problem: Problem, faults: list[str]) -> None:
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )
+        return
     _check_censored(problem, faults)
     check_scatter(problem, faults)
     check_process(problem, faults)
