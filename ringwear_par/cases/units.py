@@ -127,11 +127,6 @@ def named_unit(name: str, base: str) -> str | None:
     return unit
 
 
-def assumption(column: str, unit: str) -> str:
-    """Return the sentence about a column whose name has no unit."""
-    return f"the column {legible(column)} names no unit; {unit} is taken"
-
-
 def unit_of_anything(name: str) -> str | None:
     """Return the unit that a column's name ends with, of whatever it may be; or None."""
     ending, _ = _ending(name)

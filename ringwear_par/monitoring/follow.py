@@ -150,14 +150,6 @@ def read_running(source: Path, name: str = "") -> Problem:
     """
     problem = read_fit(source, running=name)
     (test,) = problem.experiments
-    faults = [
-        f"{source}: {legible(test.name)}: {series.file or series.name}: {assumption}; its unit "
-        "must be given"
-        for series in test.series
-        for assumption in series.assumptions
-    ]
-    if faults:
-        raise InputError(*faults)
     series = tuple(averaged(record, test.case.time.end) for record in test.series)
     return replace(problem, experiments=(replace(test, series=series),))
 

@@ -19,7 +19,6 @@ from ringwear_par.cases.files.columns import (
 )
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import (
-    assumption,
     factor,
     has_unit,
     number_and_unit,
@@ -39,9 +38,6 @@ _SMOOTH = 9
 _NEAR_ZERO = 0.05
 #: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
 _SIDES = {"below": -1, "above": 1, "": 0}
-#: fewest readings of a record, and the share of the test that it covers at least: a shorter one may
-#: be in another unit
-_RECORD, _SHORT_RECORD = 3, 0.1
 #: share of the test by which times may be later than its end, as when rounded to minutes
 _ROUNDED = 2e-4
 
@@ -144,7 +140,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     )
     if of_x is None or of_value is None:
         return None
-    (x_unit, x_scale), (unit, scale) = of_x, of_value
+    (_, x_scale), (unit, scale) = of_x, of_value
     rows, hour, timed = data.filled(*names), None, roles[0] == "time"
     if timed:
         rows, hour = data.first_stamps(names[0], rows), 3600.0 / x_scale
@@ -158,18 +154,9 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         x = x - x[0]
         sentence = "after the end of the test; they are taken as times of day, that of the first"
         doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
-    if timed and len(x) >= _RECORD and 0.0 < x.max() < _SHORT_RECORD * end:
-        words = f"readings end at {x.max():.4g} s of a test of {end:g} s"
-        doubts += (f"{words}; look at the unit of time",)
-    known = x_unit or (timed and data.names_seconds(names[0], rows)), unit
-    assumptions = tuple(
-        assumption(column, base)
-        for column, base, unit_known in zip(names, bases, known, strict=True)
-        if not unit_known
-    )
     series = _series(
-        kind, x, value, end, unit=unit or bases[1], factor=scale, lines=data.lines[rows],
-        file=data.name, assumptions=assumptions, suspicions=doubts,
+        kind, x, value, end, unit=unit, factor=scale, lines=data.lines[rows], file=data.name,
+        suspicions=doubts,
     )  # fmt: skip
     return Readings(series, data, rows)
 
@@ -177,30 +164,34 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
 def _column_unit(
     reader: TableReader, data: Measurements, role: str, column: str, unit: str | None, base: str
 ) -> tuple[str, float] | None:
-    """Return the unit of a column, "" where none is known, and its size in that of the program.
+    """Return the unit of a column, and its size in that of the program.
 
-    None, and a fault, where there is no such column, or in a unit of something else.
+    None, and a fault, where there is no such column, no unit, or that of something else.
     """
-    state = f"units.{role} = {shortened(unit)}:"
+    state, name = f"units.{role} = {shortened(unit)}:", legible(column)
     if missing := missing_column(data, column, role):
         reader.fault(missing, "columns")
         return None
     try:
-        hint = f", or units.{role} must be given"
-        named = (
-            unit_of_column(data.label(column), base)
-            if unit
-            else unit_by_name(data, column, base, hint)
-        )
-        scale = factor(unit or named or base, base)
+        if unit:
+            named = unit_of_column(data.label(column), base)
+        else:
+            named = unit_by_name(data, column, base, f", or units.{role} must be given")
+        if not (unit or named) and role == "time" and data.begins_with_stamp(column):
+            named = base
+        scale = factor(unit or named or "", base)
     except InputError as error:
         reader.fault(error.faults[0], "units")
     except RejectedError:
-        reader.fault(f"{state} must be the unit of {UNITS[base]}", f"units.{role}", "unit")
+        rule = f"{state} must be the unit of {UNITS[base]}"
+        if not unit:
+            rule = f"{data.name}: {name}: no unit; name it {name} / {base}, or units.{role} "
+            rule += "must be given"
+        reader.fault(rule, f"units.{role}", "unit")
     else:
         if not (unit and named) or math.isclose(factor(named, base), scale):
             return unit or named or "", scale
-        by_name = f"the column {legible(column)} of {data.name} is in {legible(named)} by its name"
+        by_name = f"the column {name} of {data.name} is in {legible(named)} by its name"
         reader.fault(f"{state} {by_name}; must be the same unit", "units", "unit")
     return None
 

@@ -193,8 +193,7 @@ class Series:
     #: where the readings stand; "" and none of a single value
     file: str = ""
     lines: IntArray | None = None
-    #: sentences about units that names of columns lack, and about those that are likely wrong
-    assumptions: tuple[str, ...] = ()
+    #: sentences about times and units that are likely others
     suspicions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
     planned: bool = False
