@@ -101,7 +101,7 @@ def read_fit(
     _check(problem, faults)
     alternatives = {}
     for law, (changes, fitted) in laws.items():
-        place = f"{name}: compare: {legible(law)}"
+        place = f"{name}: compare.{legible(law)}"
         other = under_law(place, experiments, Cases(base, fitted, faults, changes))
         alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
         if not faults:
