@@ -151,11 +151,11 @@ def _tests(
     Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
     dotted keys of their case, None where that has faults.
     """
-    written = tables_in(file, "experiment", needed="tests" not in file)
-    if "tests" not in file:
+    table, place = file.raw("tests"), f"{file.place}: tests"
+    written = tables_in(file, "experiment", needed=table is None)
+    if table is None:
         return written
-    place, keys = f"{file.place}: tests", keys_of("tests")
-    rows = laboratory_tests(place, file.raw("tests"), keys, base, files, file.faults)
+    rows = laboratory_tests(place, table, keys_of("tests"), base, files, file.faults)
     return written + [
         reader_of("experiment", f"{file.place}: {row}", table, file.faults)
         for row, table in rows.items()
