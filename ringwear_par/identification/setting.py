@@ -22,7 +22,7 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import Setting
-from ringwear_par.schedules import Table, in_time, points_of
+from ringwear_par.schedules import Table, in_time
 
 #: relative difference of rates, and of measured inputs
 _DIFFERENCE = 0.01
@@ -170,6 +170,5 @@ def _with_input(test: Experiment, measured: MeasuredInput, factor: float) -> Exp
     changed = replace(measured, scale=scale)
     test = replace(test, inputs=tuple(changed if i is measured else i for i in test.inputs))
     if not measured.of_torque:
-        curve = points_of(changed.curve(test.case))
-        test = replace(test, case=test.case.replace({measured.key: curve}))
+        test = replace(test, case=changed.applied(test.case))
     return test if test.torque_input is None else test.with_radius(test.torque_input.radius)
