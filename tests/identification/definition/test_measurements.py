@@ -71,6 +71,6 @@ def test_units_of_columns(name, base, unit):
      ("k / mm3/(N m)", "mm")],
 )  # fmt: skip
 def test_endings_that_do_not_fit(name, base):
-    with pytest.raises(RejectedError, match="by its name|no unit") as caught:
+    with pytest.raises(RejectedError, match=r"by its name|no unit") as caught:
         named_unit(name, base)
     assert caught.value.code == "unit"
