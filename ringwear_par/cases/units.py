@@ -62,7 +62,7 @@ def factor(unit: str, base: str | None) -> float:
         if base is None:
             return _in_case_units(registry.Quantity(1.0, registry.Unit(text)))
         quantity, base_quantity = (
-            registry.Quantity(1.0, registry.Unit(name)) for name in (text, base)
+            registry.Quantity(1.0, registry.Unit(name)) for name in (text, _as_pint_has_it(base))
         )
         if quantity.to_root_units().units != base_quantity.to_root_units().units:
             raise RejectedError
@@ -125,11 +125,6 @@ def named_unit(name: str, base: str) -> str | None:
             else f"ends with [{unit_text}], no unit"
         )
     return unit
-
-
-def assumption(column: str, unit: str) -> str:
-    """Return the sentence about a column whose name has no unit."""
-    return f"the column {legible(column)} names no unit; {unit} is taken"
 
 
 def unit_of_anything(name: str) -> str | None:

@@ -252,13 +252,6 @@ class Measurements:
         )
         return replace(self, rows=rows)
 
-    def names_seconds(self, name: str, rows: BoolArray) -> bool:
-        """Tell whether a column has stamps or clock times with seconds in the rows, no others."""
-        cells = np.array(self.cells(name), dtype=object)[rows].tolist()
-        return all(table_text.has_hours(cell) for cell in cells) or all(
-            table_text.is_stamp(cell) for cell in cells
-        )
-
 
 def unused_columns(names: Sequence[str]) -> str:
     """Return the sentence about columns of a table of which nothing is taken."""

@@ -246,10 +246,10 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
 
 
 def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
-    """Return the doubts about units that no name has, or that are likely wrong, one a sentence."""
+    """Return the doubts about units that are likely wrong, one a sentence."""
     found = defaultdict(list)
     for test in experiments:
         for series in [*test.series, *(entry.series for entry in test.inputs)]:
-            for sentence in series.assumptions + series.suspicions:
+            for sentence in series.suspicions:
                 found[sentence].append((0.0, f"{series.name} ({test.name})", test.name))
     return [d for text, of in found.items() for d in _together("assumed-unit", of, text)]

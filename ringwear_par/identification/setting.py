@@ -14,7 +14,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import (
     Experiment,
-    Prior,
     Problem,
     Series,
     body_of_wear,
@@ -22,7 +21,7 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import TestLikelihood
 from ringwear_par.identification.noise import Setting
-from ringwear_par.schedules import Table, in_time, points_of
+from ringwear_par.schedules import Table, in_time
 
 #: relative difference of rates, and of measured inputs
 _DIFFERENCE = 0.01
@@ -158,12 +157,11 @@ def _scales(readings: Readings, number: int, middle: FloatArray) -> tuple[FloatA
         mean, sd = measured.scale
         both = []
         for factor in (1.0 - _DIFFERENCE, 1.0 + _DIFFERENCE):
-            changed = replace(measured, scale=Prior(factor * mean, sd))
+            changed = replace(measured, scale=measured.scale._replace(mean=factor * mean))
             inputs = tuple(changed if i is measured else i for i in test.inputs)
             tests[number] = replace(test, inputs=inputs)
             if not measured.of_torque:  # a larger force makes a friction less
-                curve = {measured.key: points_of(changed.curve(test.case))}
-                tests[number] = replace(tests[number], case=test.case.replace(curve))
+                tests[number] = replace(tests[number], case=changed.applied(test.case))
             if test.torque_input is not None:
                 tests[number] = tests[number].with_radius(test.torque_input.radius)
             both += _read(readings, tests, middle, tests=[number])

@@ -67,7 +67,6 @@ def test_stamps(stamps, seconds):
     read = table("\n".join(["Datum/Uhrzeit;z", *(f"{stamp};1" for stamp in stamps)]))
     assert column(read, 0, HOUR).tolist() == seconds
     assert column(read, 0, 1.0) == pytest.approx(np.array(seconds) / HOUR)
-    assert read.names_seconds("Datum/Uhrzeit", read.filled("z"))
 
 
 def test_clock_times_over_midnight():

@@ -13,7 +13,7 @@ from ringwear_par.cases.files.faults import LOADS, unread_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, expanded, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys, pair_entry
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.units import has_unit, number_and_unit
+from ringwear_par.cases.units import has_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import (
@@ -97,27 +97,6 @@ def base_keys(
     sentence = f"{name}: case {state}: must be the name of a case file, relative to this one"
     faults.append(Fault(sentence, "case", "missing" if base is None else "not_allowed"))
     return None
-
-
-def written_units(case: Any, folder: Path) -> dict[str, str]:
-    """Return the units in which numbers of a case are written, by key; {} where it has faults.
-
-    Parameters
-    ----------
-    case : the name of its file, or its tables.
-    folder : from which names of files count.
-    """
-    try:
-        if isinstance(case, Mapping):
-            keys = flatten(case, "case")
-        else:
-            keys = read_keys(read_text(folder / str(case)), str(case))
-    except InputError:
-        return {}
-    for table in _PARAMETERS & keys.keys():
-        if isinstance(entries := keys[table], dict):
-            keys |= {f"{table}.{name}": value for name, value in entries.items()}
-    return {key: number_and_unit(value)[1] for key, value in keys.items() if has_unit(value)}
 
 
 def keys_with_units(keys: Mapping[str, Any]) -> frozenset[str]:

@@ -19,19 +19,18 @@ from ringwear_par.cases.files.columns import (
 )
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import (
-    assumption,
     factor,
     has_unit,
     number_and_unit,
     unit_of_column,
 )
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import Fault, InputError, legible
-from ringwear_par.files.measurements import Measurements, and_more
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import Measurements
 from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import BASE, Problem, Series
-from ringwear_par.identification.definition.schema import read_all
+from ringwear_par.identification.definition.problem import BASE, Series
+from ringwear_par.identification.definition.schema import inner, keys_of, read_all, refuse
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
@@ -39,6 +38,13 @@ _SMOOTH = 9
 _NEAR_ZERO = 0.05
 #: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
 _SIDES = {"below": -1, "above": 1, "": 0}
+#: share of the test by which times may be later than its end, as when rounded to minutes
+_ROUNDED = 2e-4
+
+
+#: keys of a file, and all that tell where readings are from
+_OF_FILE = ("columns", "units", "skip", "drop")
+_SOURCES = ("file", *_OF_FILE, "value", "unit", "times", "r")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,80 +68,60 @@ def _as_faults(reader: TableReader, key: str) -> Iterator[None]:
 
 
 def read_readings(
-    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore, plans: bool
+    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore
 ) -> Readings | None:
     """Return the readings of a table of a fit file at ``at`` (s) or until the end (s) of the test.
 
     None, and faults, where there are none; ``kind`` is a name in ``READING_KINDS``.
     """
-    where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
-    sources = once if kind == "through" else ("file", *once)
-    source = next((key for key in sources if key in reader), "")
-    if source and where in reader:
-        reader.raw(where)
-        rule = f"must be absent beside {source}; it is for readings that are planned"
-        reader.wrong(where, rule, "conflict")
-    if source == "file":
+    for name in _SOURCES:
+        if name in keys_of(reader.loc):
+            reader.raw(name)
+    where = "r" if kind == "profile" else "times"
+    if "file" in reader and kind != "through":
+        refuse(reader, "beside file", "value", "unit", "times", "r")
         return _from_file(reader, kind, end, files)
-    planned = source != "value"
-    if planned and not _may_be_planned(reader, kind, where, at, plans):
-        return None
-    value, key, unit = None if planned else reader.raw("value"), "unit", reader.raw("unit", "")
-    if isinstance(value, str) and "unit" not in reader:
-        key, unit = "value", number_and_unit(value)[1] if has_unit(value) else BASE[kind]
-    scale = _factor(reader, key, str(unit), BASE[kind])
-    x = np.array([end if at is None else at])
-    if planned and where in reader:
-        x = reader.read(where)
-    single = 0.0 if planned or scale is None else reader.read("value", unit=str(unit))
-    if x is None or scale is None or single is None:
-        return None
-    values = np.full(len(x), scale * single)
-    return Readings(_series(kind, x, values, str(unit), scale, planned=planned))
-
-
-def _may_be_planned(
-    reader: TableReader, kind: str, where: str, at: float | None, plans: bool
-) -> bool:
-    """Tell whether readings that are neither in a file nor a value may be planned; add faults."""
+    planned, unit = kind == "profile" or "value" not in reader, reader.raw("unit", "")
     once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
-    enough = once or where in reader
-    if not enough or not plans:
-        rule = f"must be given; or {where} of planned readings, for --dry-run and ringwear design"
-        reader.wrong("value" if once else "file", rule)
-    for key in () if enough else ("columns", "units", "skip", "drop"):  # of a file
-        reader.raw(key)
-    return enough
-
-
-def _series(
-    kind: str, x: FloatArray, value: FloatArray, unit: str, scale: float, **more: Any
-) -> Series:
-    """Return times or radii (n,) and values, in the units of a case, as a series."""
-    sd = np.full(len(x), np.nan)
-    return Series(kind, kind, x, value, sd, unit=unit, factor=scale, **more)
-
-
-def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
-    """Return a unit in that of the program; None, and a fault of a key, where it is another's."""
-    try:
-        return factor(unit, base)
-    except RejectedError:
-        rule = f"must be the unit of {UNITS[base]}"
-        if unit and key in reader:
-            reader.wrong(key, rule, "unit")
-        else:
-            state = f"= {shortened(unit)}" if unit else "is missing"
-            reader.fault(f"{key} {state}: {rule}", key, "unit")
+    if planned and not once and where not in reader:
+        rule = f"must be given, or {where} of planned readings"
+        reader.wrong("file", rule)
         return None
+    refuse(reader, f"with {where if planned else 'value'}", "file", *_OF_FILE)
+    x, value, key = np.array([end if at is None else at]), 0.0, "unit"
+    if planned:
+        refuse(reader, f"of a {kind}", "times" if kind == "profile" else "r")
+        x = reader.read(where) if where in reader else x
+    else:
+        refuse(reader, "beside value", "times", "r")
+        written = reader.raw("value")
+        if isinstance(written, str) and "unit" not in reader:
+            key, unit = "value", number_and_unit(written)[1] if has_unit(written) else BASE[kind]
+    try:
+        scale = factor(str(unit), BASE[kind])
+    except RejectedError:
+        reader.wrong(key, f"must be the unit of {UNITS[BASE[kind]]}", "unit")
+        return None
+    if not planned:
+        value = reader.read("value", unit=str(unit))
+    if x is None or value is None:
+        return None
+    values = np.full(len(x), scale * value)
+    series = _series(kind, x, values, end, unit=str(unit), factor=scale, planned=planned)
+    return Readings(series)
+
+
+def _series(kind: str, x: FloatArray, value: FloatArray, end: float, **more: Any) -> Series:
+    """Return times or radii (n,) and values, in the units of a case, as a series."""
+    if kind == "through":  # and may be after the end
+        x = np.minimum(value, end)
+    elif kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
+        x = np.append(x[:-1], end)
+    return Series(kind, kind, x, value, np.full(len(x), np.nan), **more)
 
 
 def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> Readings | None:
     name, skip, drop = (reader.read(key) for key in ("file", "skip", "drop"))
-    for key in ("value", "unit"):
-        if key in reader:
-            reader.raw(key)
-            reader.wrong(key, "must be absent beside file", "conflict")
     roles = ("r" if kind == "profile" else "time", "value")
     columns, units = (read_texts(reader, key, roles) for key in ("columns", "units"))
     data: Measurements | None = None
@@ -148,13 +134,13 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         columns = dict(zip(roles, data.columns, strict=True))
     names = [columns.get(role, role) for role in roles]
     bases = BASE[roles[0]], BASE[kind]
-    found = [
+    of_x, of_value = (
         _column_unit(reader, data, role, name, units.get(role), base)
         for role, name, base in zip(roles, names, bases, strict=True)
-    ]
-    if found[0] is None or found[1] is None:
+    )
+    if of_x is None or of_value is None:
         return None
-    (x_unit, x_scale), (unit, scale) = found[0], found[1]
+    (_, x_scale), (unit, scale) = of_x, of_value
     rows, hour, timed = data.filled(*names), None, roles[0] == "time"
     if timed:
         rows, hour = data.first_stamps(names[0], rows), 3600.0 / x_scale
@@ -168,15 +154,9 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         x = x - x[0]
         sentence = "after the end of the test; they are taken as times of day, that of the first"
         doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
-    known = (x_unit or (timed and data.names_seconds(names[0], rows)), unit)
-    assumptions = tuple(
-        assumption(column, base)
-        for column, base, unit_known in zip(names, bases, known, strict=True)
-        if not unit_known
-    )
     series = _series(
-        kind, x, value, unit or bases[1], scale, assumptions=assumptions, suspicions=doubts,
-        lines=data.lines[rows], file=data.name,
+        kind, x, value, end, unit=unit, factor=scale, lines=data.lines[rows], file=data.name,
+        suspicions=doubts,
     )  # fmt: skip
     return Readings(series, data, rows)
 
@@ -184,79 +164,81 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
 def _column_unit(
     reader: TableReader, data: Measurements, role: str, column: str, unit: str | None, base: str
 ) -> tuple[str, float] | None:
-    """Return the unit of a column, "" where none is known, and its size in that of the program.
+    """Return the unit of a column, and its size in that of the program.
 
-    None, and a fault, where there is no such column, or in a unit of something else.
+    None, and a fault, where there is no such column, no unit, or that of something else.
     """
+    state, name = f"units.{role} = {shortened(unit)}:", legible(column)
     if missing := missing_column(data, column, role):
         reader.fault(missing, "columns")
         return None
-    faults, named = len(reader.faults), unit_of_column(data.label(column), base)
-    if not (unit or named):
-        with _as_faults(reader, "units"):  # one of something else
-            unit_by_name(data, column, base, f", or units.{role} must be given")
-    scale = _factor(reader, f"units.{role}", unit or named or base, base)
-    if scale and named and not math.isclose(factor(named, base), scale):
-        sentence = f"the column {legible(column)} of {data.name} is in {legible(named)} by its name"
-        state = f"units.{role} = {shortened(unit)}: {sentence}; must be the same unit"
-        reader.fault(state, "units", "unit")
-    return None if scale is None or len(reader.faults) > faults else (unit or named or "", scale)
+    try:
+        if unit:
+            named = unit_of_column(data.label(column), base)
+        else:
+            named = unit_by_name(data, column, base, f", or units.{role} must be given")
+        if not (unit or named) and role == "time" and data.begins_with_stamp(column):
+            named = base
+        scale = factor(unit or named or "", base)
+    except InputError as error:
+        reader.fault(error.faults[0], "units")
+    except RejectedError:
+        rule = f"{state} must be the unit of {UNITS[base]}"
+        if not unit:
+            rule = f"{data.name}: {name}: no unit; name it {name} / {base}, or units.{role} "
+            rule += "must be given"
+        reader.fault(rule, f"units.{role}", "unit")
+    else:
+        if not (unit and named) or math.isclose(factor(named, base), scale):
+            return unit or named or "", scale
+        by_name = f"the column {name} of {data.name} is in {legible(named)} by its name"
+        reader.fault(f"{state} {by_name}; must be the same unit", "units", "unit")
+    return None
 
 
 def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
-    entry, series = reader.raw("sd"), readings.series
-    value, named = series.value, isinstance(entry, str) and not has_unit(entry)
-    unknown = np.full(len(value), np.nan)
-    if series.planned and (named or isinstance(entry, Mapping)):
+    entry, series, data = reader.raw("sd"), readings.series, readings.data
+    value, unknown = series.value, np.full(series.n, np.nan)
+    named, relative = isinstance(entry, str) and not has_unit(entry), isinstance(entry, Mapping)
+    if series.planned and (named or relative):
         reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
     elif entry == "fit":
         if keep.sum() < _SMOOTH:
             more = "" if keep.all() else " that are not excluded"
             reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
-        return np.full(len(value), _scatter(value[keep])), True
-    elif named and readings.data is None:
-        reader.wrong("sd", "must be a number > 0 or { relative = x }")
+        return np.full(series.n, _scatter(value[keep])), True
+    elif relative:
+        (share,) = read_all(inner(reader, "sd"))
+        smooth = np.abs(median_filter(value, min(_SMOOTH, series.n) or 1, mode="nearest"))
+        small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
+        if share is not None and small.any():
+            rule = "must be in the data's unit where readings are near zero, as here"
+            reader.wrong("sd", lines_of(series)[int(small.argmax())] + rule)
+        return unknown if share is None else share * smooth, False
+    elif named and (data is None or entry not in data.columns):
+        column = "" if data is None else f', "fit", a column of {data.name}'
+        reader.wrong("sd", f"must be a number > 0{column} or {{ relative = x }}")
     elif named:
         return _sd_column(reader, str(entry), readings), False
-    elif isinstance(entry, Mapping):
-        place = f"{reader.place}: sd"
-        _, (relative,) = read_all("experiment.data.sd", place, entry, reader.faults)
-        smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)) or 1, mode="nearest"))
-        small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
-        if relative is not None and small.any():
-            line = lines_of(series)[int(small.argmax())]
-            rule = "must be in the data's unit where readings are near zero, as here"
-            reader.wrong("sd", f"{line}{rule}")
-        elif relative is not None:
-            return relative * smooth, False
-    else:
-        single = reader.read("sd", unit=series.unit)
-        return unknown if single is None else np.full(len(value), series.factor * single), False
+    elif (single := reader.read("sd", unit=series.unit)) is not None:
+        return np.full(series.n, series.factor * single), False
     return unknown, False
 
 
 def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArray:
     """Return the standard deviations in a column, in its own unit or that of the readings."""
-    data, rows, series = readings.data, readings.rows, readings.series
+    data, rows, base = readings.data, readings.rows, BASE[readings.series.kind]
     assert data is not None
     assert rows is not None
-    sd, lines, base = np.full(series.n, np.nan), lines_of(series), BASE[series.kind]
-    if column not in data.columns:
-        rule = f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
-        reader.wrong("sd", rule)
-        return sd
-    filled = data.filled(column)[rows]
-    if not filled.all():
-        reader.fault(f"{lines[int(filled.argmin())]}{column} is empty; must be a number > 0")
-        return sd
+    sd, filled = np.full(len(data.rows), np.nan), rows & data.filled(column)
     with _as_faults(reader, "sd"):
-        scale = factor(unit_by_name(data, column, base) or series.unit, base)
-        sd = scale * data.numbers(column, rows)
-        if (wrong := np.flatnonzero(sd <= 0)).size:
-            values = f"{column} = {sd[wrong[0]] / scale:g}{and_more(wrong.size, 'line')}"
-            reader.fault(f"{lines[wrong[0]]}{values}: must be a number > 0")
-    return sd
+        unit = unit_by_name(data, column, base) or readings.series.unit
+        sd[filled] = factor(unit, base) * data.numbers(column, filled)
+        if (wrong := np.flatnonzero(rows & ~(sd > 0.0))).size:
+            place = data.cell_place(column, int(wrong[0]), wrong.size)
+            raise InputError(f"{place}: must be a number > 0")
+    return sd[rows]
 
 
 def lines_of(series: Series) -> list[str]:
@@ -275,45 +257,17 @@ def _scatter(value: FloatArray) -> float:
 
 def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
     """Return the sides (n,) at which readings are limits: -1 at most, 1 at least; None for none."""
-    word = reader.read("censored")
-    if word is None:
-        return None
-    if word in _SIDES:
-        return np.full(readings.series.n, _SIDES[word])
-    data = readings.data
-    if data is None or readings.rows is None or word not in data.columns:
+    word, data, rows = reader.read("censored"), readings.data, readings.rows
+    if word is None or word in _SIDES:
+        return None if word is None else np.full(readings.series.n, _SIDES[word])
+    if data is None or rows is None or word not in data.columns:
         where = "" if data is None else f", or a column of {data.name}"
         reader.wrong("censored", f'must be "below" or "above"{where}')
         return None
-    place = data.columns.index(word)
-    cells = [data.rows[i][place].strip() for i in np.flatnonzero(readings.rows).tolist()]
-    for cell, line in zip(cells, data.lines[readings.rows].tolist(), strict=True):
-        if cell not in _SIDES:
-            reader.fault(
-                f"{data.name}: line {line}: {legible(word)} = {legible(cell)}: must be below, "
-                "above or empty"
-            )
-            return None
-    return np.array([_SIDES[cell] for cell in cells])
-
-
-def check_censored(problem: Problem, faults: list[str]) -> None:
-    """Add what does not go together with censored readings to the faults."""
-    name, settings = problem.name, problem.settings
-    for experiment in problem.experiments:
-        for series in experiment.series:
-            if series.censored is None or not series.censored.any():
-                continue
-            rules = {
-                "must be absent with loss = \"student\"": settings.loss == "student",
-                "must be absent with process": bool(settings.process),
-                "must be absent with correlation_time": series.correlation_time > 0.0,
-                'needs sd as a number where all readings are: must not be "fit"':
-                    series.sd_fitted and series.censored.all(),
-            }  # fmt: skip
-            place = f'{name}: experiment "{legible(experiment.name)}": {series.name}'
-            faults += [
-                Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
-                for rule, broken in rules.items()
-                if broken
-            ]
+    sides = [_SIDES.get(cell.strip()) for cell in data.cells(word)]
+    wrong = [row for row in np.flatnonzero(rows).tolist() if sides[row] is None]
+    if wrong:
+        place = data.cell_place(word, wrong[0], len(wrong))
+        reader.fault(f"{place}: must be below, above or empty", "censored")
+        return None
+    return np.array([side for side, read in zip(sides, rows.tolist(), strict=True) if read])

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,20 +10,20 @@ import numpy as np
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import changes_of, override
+from ringwear_par.cases.files.keys import changes_of, naming, override
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.errors import MOST_FAULTS, Fault, InputError, legible
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import input_keys, read_inputs
+from ringwear_par.identification.definition.inputs import read_inputs
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
     FittedParameter,
-    MeasuredInput,
     Series,
 )
-from ringwear_par.identification.definition.schema import reader_of
+from ringwear_par.identification.definition.schema import tables_in
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -35,86 +34,42 @@ _OUTPUT = {
 }  # fmt: skip
 
 
-@dataclass
-class ExperimentReader:
-    """Reads the experiments of a fit file under one law."""
+@dataclass(frozen=True)
+class Cases:
+    """Makes the cases of tests under one law."""
 
-    #: of the fit file in messages, with that of another law
-    name: str
-    folder: Path
     #: keys of the base case; None where it has faults
     base: Mapping[str, Any] | None
-    files: FileStore
-    #: whether readings may be planned
-    plans: bool
     parameters: tuple[FittedParameter, ...]
     faults: list[str]
-    #: case keys of another law
+    #: case keys of another law; None: that of the base case and the tests
     law: Mapping[str, Any] | None = None
 
-    def all(self, tables: Sequence[tuple[str, Any]]) -> tuple[Experiment, ...]:
-        """Return all experiments, and add what is wrong with them to the faults.
+    def of(self, place: str, changes: Mapping[str, Any], measured: Sequence[str]) -> Case | None:
+        """Return the case of a test with the parameters at their starts; None, and faults.
 
         Parameters
         ----------
-        tables : of the fit file, each with where it stands.
+        place : how sentences about it begin.
+        changes : case keys that the test sets.
+        measured : case keys that are inputs; they are numbers here.
         """
-        every = [self._experiment(place, table) for place, table in tables]
-        experiments = tuple(experiment for experiment in every if experiment is not None)
-        self._refuse_twins(experiments)
-        return experiments
-
-    def _experiment(self, place: str, table: Any) -> Experiment | None:
-        reader = reader_of("experiment", f"{self.name}: {place}", table, self.faults)
-        name = reader.read("name")
-        if name is None:
-            return None
-        row = "" if place.startswith("experiment ") else f"{place}: "
-        place = reader.place = f'{self.name}: {row}experiment "{legible(name)}"'
-        changes = changes_of(reader, self.folder)
-        tables = reader.raw("input", [])
-        measured = input_keys(tables)
         known = changes if self.law is None else self.law
         refuse_twice(place, known, self.parameters, measured, self.faults)
-        case: Case | None = None
-        inputs: tuple[MeasuredInput, ...] = ()
-        if self.base is not None and len(self.faults) < MOST_FAULTS:  # more are not shown
-            keys = override(override(self.base, _STEPPING), changes)
-            places = {key: keys.get(key, 1.0) for key in measured}  # of what is read below
-            keys = override(keys, {**places, **_STEPPING, **_OUTPUT})
-            case = self._case(place, override(keys, self.law or {}), known)
-            if tables:
-                inputs, case = read_inputs(place, tables, case, self.files, self.faults)
-        specimen, batch, lab = (reader.read(group) for group in GROUPS)
-        data = reader.raw("data")
-        reader.finish()
-        if not isinstance(data, list) or not data:
-            reader.wrong("data", "must be tables, [[experiment.data]]")
+        if self.base is None:
             return None
-        every = [
-            read_series(
-                f"{place}: data {number}", entry, case, self.files, self.faults, plans=self.plans
-            )
-            for number, entry in enumerate(data, start=1)
-        ]
-        series = [one for one in every if one is not None]
-        if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
-            reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
-        if case is None:
-            return None
-        groups = (specimen or name, batch or "", lab or "")
-        return Experiment(name, case, _named(series), groups, inputs)
-
-    def _case(self, place: str, keys: Mapping[str, Any], changes: Mapping[str, Any]) -> Case | None:
-        """Return a case with the parameters at their starts."""
+        places = {key: self.base.get(key, 1.0) for key in measured}
         starts = {parameter.key: parameter.start for parameter in self.parameters}
-        changed = frozenset({*changes, *starts})
+        origin = Origin(place, frozenset({*known, *starts}), f"{place}: set")
         try:
-            case = make_case(override(keys, starts), Origin(place, changed, f"{place}: set"))
+            with naming(origin.setting):
+                keys = override(self.base, {**places, **changes, **_STEPPING})
+                keys = override(keys, {**_OUTPUT, **(self.law or {}), **starts})
+            case = make_case(keys, origin)
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
-            self.faults += error.faults
+            self.faults.extend(error.faults)
             return None
         if case.mesh.geometry == "updated":
             sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
@@ -123,23 +78,81 @@ class ExperimentReader:
         refuse_unfit(place, self.parameters, case, self.faults)
         return case
 
-    def _refuse_twins(self, experiments: Sequence[Experiment]) -> None:
-        """Refuse experiments of one name, and the same lines of a file in two series."""
-        names, seen = set[str](), list[tuple[str, Series]]()
-        for experiment in experiments:
-            place = f'{self.name}: experiment "{legible(experiment.name)}"'
-            if experiment.name in names:
-                sentence = f"{place}: is there twice; names must differ"
-                self.faults.append(Fault(sentence, "experiment.name", "conflict"))
-                continue
-            names.add(experiment.name)
-            for series in experiment.series:
-                self.faults += [
-                    f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                    f'"{legible(owner)}"; must be read once'
-                    for owner, earlier in seen if _same_readings(series, earlier)
-                ]  # fmt: skip
-                seen.append((experiment.name, series))
+
+def read_experiments(
+    name: str, readers: Sequence[TableReader], cases: Cases, files: FileStore
+) -> tuple[Experiment, ...]:
+    """Return all experiments of a fit file; what is wrong with them is added to the faults.
+
+    Parameters
+    ----------
+    name : of the fit file.
+    readers : of the tables of the experiments.
+    """
+    every = [_experiment(reader, cases, files) for reader in readers]
+    experiments = tuple(experiment for experiment in every if experiment is not None)
+    _refuse_twins(name, experiments, cases.faults)
+    return experiments
+
+
+def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experiment | None:
+    name = reader.read("name")
+    if name is None:
+        return None
+    reader.place = f'{reader.place} "{legible(name)}"'
+    changes = changes_of(reader, files.folder)
+    keyed = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
+    measured = [key for key, _ in keyed if key is not None]
+    case = cases.of(reader.place, changes, measured)
+    inputs, case = read_inputs(keyed, case, files)
+    specimen, batch, lab = (reader.read(group) for group in GROUPS)
+    data = tables_in(reader, "data", needed=True)
+    reader.finish()
+    every = [read_series(entry, case, files) for entry in data]
+    series = [one for one in every if one is not None]
+    if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
+        reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
+    if case is None:
+        return None
+    groups = (specimen or name, batch or "", lab or "")
+    return Experiment(name, case, _named(series), groups, inputs, changes)
+
+
+def under_law(name: str, tests: Sequence[Experiment], cases: Cases) -> tuple[Experiment, ...]:
+    """Return tests under another law, as far as it is right; faults are added to its own.
+
+    Parameters
+    ----------
+    name : of the law in messages.
+    """
+    every = []
+    for test in tests:
+        place = f'{name}: experiment "{legible(test.name)}"'
+        case = cases.of(place, test.changes, [entry.key for entry in test.inputs])
+        if case is not None:
+            for entry in test.inputs:
+                case = entry.applied(case)
+            every.append(replace(test, case=case))
+    return tuple(every)
+
+
+def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
+    """Refuse experiments of one name, and the same lines of a file in two series."""
+    names, seen = set[str](), list[tuple[str, Series]]()
+    for experiment in experiments:
+        place = f'{name}: experiment "{legible(experiment.name)}"'
+        if experiment.name in names:
+            sentence = f"{place}: is there twice; names must differ"
+            faults.append(Fault(sentence, "experiment.name", "conflict"))
+            continue
+        names.add(experiment.name)
+        for series in experiment.series:
+            faults += [
+                f"{place}: {series.quantity}: {series.file} has the readings of experiment "
+                f'"{legible(owner)}"; must be read once'
+                for owner, earlier in seen if _same_readings(series, earlier)
+            ]  # fmt: skip
+            seen.append((experiment.name, series))
 
 
 def _same_readings(a: Series, b: Series) -> bool:

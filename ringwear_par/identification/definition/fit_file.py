@@ -15,20 +15,23 @@ from ringwear_par.cases.files.keys import (
     kinds,
     read_keys,
     source_tables,
-    written_units,
 )
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
-from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
-from ringwear_par.errors import Code, Fault, InputError, legible
-from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.data_sources import check_censored
-from ringwear_par.identification.definition.experiments import ExperimentReader
-from ringwear_par.identification.definition.fitted_parameters import read_parameters, read_units
+from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.identification.definition.experiments import (
+    Cases,
+    read_experiments,
+    under_law,
+)
+from ringwear_par.identification.definition.fitted_parameters import read_parameters
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
+    Experiment,
     FittedParameter,
     Problem,
+    Series,
     Settings,
 )
 from ringwear_par.identification.definition.scatter import (
@@ -36,15 +39,20 @@ from ringwear_par.identification.definition.scatter import (
     check_scatter,
     read_process,
 )
-from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
+from ringwear_par.identification.definition.schema import (
+    inner,
+    keys_of,
+    read_all,
+    reader_of,
+    tables_in,
+)
 
 log = logging.getLogger(__name__)
 
 #: keys of the search for an optimum, which files of laboratories still have
 _GONE = ("starts", "method")
-_TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
 #: beginning of the faults of a test
-_TEST = re.compile(r'.*?: (?:line \d+: )?experiment "(?:[^"\\]|\\.)*": ')
+_TEST = re.compile(r'.*?(?:experiment|line)(?: \d+)? "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
 
@@ -67,31 +75,34 @@ def read_fit(
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
-    name_unknown_keys(name, tables, _TABLES, faults)
+    file = TableReader(name, tables, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    units = written_units(tables.get("case"), folder)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), units, faults)
+    settings, parameters = _read_settings(inner(file, "fit"))
     alone = running is not None and not others
     files = FileStore(folder, growing=alone)
-    reader = ExperimentReader(name, folder, base, files, plans, parameters, faults)
-    tests = _experiment_tables(name, tables, base, files, faults)
+    tests = _tests(file, base, files)
     if running is not None:
-        tests = _chosen(name, tests, running, others)
-    experiments = reader.all(tests)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), units, faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), units, folder, faults)
+        tests = _chosen(file, tests, running, others)
+    experiments = read_experiments(name, tests, Cases(base, parameters, faults), files)
+    faults += () if plans else _planned(name, experiments)
+    design = _read_design_space(inner(file, "design"))
+    compared, laws = inner(file, "compare"), {}
+    for law in [*compared.keys()]:
+        reader = inner(compared, law, "compare.NAME")
+        laws[law] = changes_of(reader, folder), read_parameters(reader)
+        reader.finish()
+    file.raw("case")
+    file.finish()
     _refuse(faults)
     whose = f"{name}: without {legible(running or '')}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
     if alone:
         return problem
-    check_censored(problem, faults)
     _check(problem, faults)
-    _refuse(faults)  # other laws have many of them too
     alternatives = {}
     for law, (changes, fitted) in laws.items():
         place = f"{name}: compare.{legible(law)}"
-        other = replace(reader, name=place, parameters=fitted, law=changes).all(tests)
+        other = under_law(place, experiments, Cases(base, fitted, faults, changes))
         alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
         if not faults:
             _check(alternatives[law], faults)
@@ -114,51 +125,41 @@ def _refuse(faults: Sequence[str]) -> None:
 
 
 def _chosen(
-    name: str, tests: list[tuple[str, Any]], running: str, others: bool
-) -> list[tuple[str, Any]]:
+    file: TableReader, tests: list[TableReader], running: str, others: bool
+) -> list[TableReader]:
     """Return the table of the running test, or of all others, out of those of a fit file."""
-    names = [table.get("name") if isinstance(table, Mapping) else None for _, table in tests]
-    known = [named for named in names if isinstance(named, str)]
+    known = [name for test in tests if isinstance(name := test.raw("name"), str)]
     if not known:  # which their readers say
         return tests
     running = running or known[-1]
     if running not in known:
         every = ", ".join(map(legible, known))
-        raise InputError(f"--test = {legible(running)}: must be one of {every} of {name}")
+        raise InputError(f"--test = {legible(running)}: must be one of {every} of {file.place}")
     if others and len(tests) == 1:
         raise InputError(
-            f"{name}: has no test but {legible(running)}; --after must name the folder of a fit of "
-            "others"
+            f"{file.place}: has no test but {legible(running)}; --after must name the folder of a "
+            "fit of others"
         )
-    return [
-        one for one, named in zip(tests, names, strict=True) if (named == running) is not others
-    ]
+    return [test for test in tests if (test.raw("name") == running) is not others]
 
 
-def _experiment_tables(
-    name: str,
-    file: Mapping[str, Any],
-    base: Mapping[str, Any] | None,
-    files: FileStore,
-    faults: list[str],
-) -> list[tuple[str, Any]]:
-    """Return the tables of a fit file's tests, each with where it stands.
+def _tests(
+    file: TableReader, base: Mapping[str, Any] | None, files: FileStore
+) -> list[TableReader]:
+    """Return the tables of a fit file's tests.
 
     Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
     dotted keys of their case, None where that has faults.
     """
-    written = file.get("experiment", [] if "tests" in file else None)
-    if not isinstance(written, list) or not (written or "tests" in file):
-        state = "is missing" if written is None else f"= {shortened(written)}"
-        code: Code = "missing" if written is None else "not_allowed"
-        sentence = f"{name}: experiment {state}: must be tables, [[experiment]]"
-        faults.append(Fault(sentence, "experiment", code))
-        return []
-    tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
-    if "tests" not in file:
-        return tables
-    tests = laboratory_tests(f"{name}: tests", file["tests"], keys_of("tests"), base, files, faults)
-    return [*tables, *tests.items()]
+    table, place = file.raw("tests"), f"{file.place}: tests"
+    written = tables_in(file, "experiment", needed=table is None)
+    if table is None:
+        return written
+    rows = laboratory_tests(place, table, keys_of("tests"), base, files, file.faults)
+    return written + [
+        reader_of("experiment", f"{file.place}: {row}", table, file.faults)
+        for row, table in rows.items()
+    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,58 +172,54 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
     return {**source, "case": read_keys(case.text)}
 
 
-def _read_settings(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
-) -> tuple[Settings, tuple[FittedParameter, ...]]:
-    if isinstance(table, Mapping) and (gone := [key for key in _GONE if key in table]):
-        log.warning("%s: %s: is not needed any more, and ignored", place, ", ".join(gone))
-        table = {key: value for key, value in table.items() if key not in gone}
-    reader = reader_of("fit", place, table, faults)
-    fitted = reader.raw("parameters")
-    units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)
-    parameters = read_parameters(f"{place}.parameters", fitted, faults, units, case_units)
+def _read_settings(reader: TableReader) -> tuple[Settings, tuple[FittedParameter, ...]]:
+    """Return how to fit, and the fitted keys, of ``[fit]``."""
+    if gone := [key for key in _GONE if key in reader]:
+        log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
+        for key in gone:
+            reader.raw(key)
+    parameters = read_parameters(reader, reader.raw("units", {}))
     level, loss = reader.read("level"), reader.read("loss")
-    process = read_process(f"{place}.process", reader.raw("process", {}), faults)
+    process = read_process(reader)
     reader.finish()
     return Settings(level, loss, process), parameters
 
 
-def _read_design_space(
-    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
-) -> DesignSpace:
-    """Return the space of ``[design]``; add what is wrong with it to the faults."""
-    reader = reader_of("design", place, table, faults)
+def _read_design_space(reader: TableReader) -> DesignSpace:
+    """Return the space of ``[design]``."""
     criterion = reader.read("criterion")
-    vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
+    varied, budget = inner(reader, "vary"), inner(reader, "budget")
     reader.finish()
-    units = {key: unit for key, unit in case_units.items() if key in keys_of("design.vary")}
-    for key, entry in vary.items() if isinstance(vary, Mapping) else ():
+    units = {}
+    for key in keys_of("design.vary"):
+        entry = varied.raw(key)
         if isinstance(entry, list) and entry and has_unit(entry[0]):
             units[key] = number_and_unit(entry[0])[1]
-    varied, values = read_all("design.vary", f"{place}.vary", vary, faults)
-    every = zip(keys_of("design.vary"), values, strict=True)
+    every = zip(keys_of("design.vary"), read_all(varied), strict=True)
     ranges = {key: value for key, value in every if value is not None}
     if all(key in ranges for key in _LOADS):
         varied.fault("load.pressure and load.force: only one of them may vary")
-    _, (seconds, count) = read_all("design.budget", f"{place}.budget", budget, faults)
+    seconds, count = read_all(budget)
     return DesignSpace(criterion, ranges, seconds, count, units)
 
 
-def _read_alternatives(
-    place: str, table: Any, case_units: Mapping[str, str], folder: Path, faults: list[str]
-) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
-    """Return case keys and fitted keys of other laws."""
-    laws = {}
-    if not isinstance(table, Mapping):
-        faults.append(f"{place} = {shortened(table)}: must be a table")
-        return {}
-    for name, entry in table.items():
-        reader = TableReader(f"{place}.{legible(name)}", entry, faults)
-        changes, fitted = changes_of(reader, folder), reader.raw("parameters")
-        place_of_keys = f"{reader.place}.parameters"
-        laws[name] = changes, read_parameters(place_of_keys, fitted, faults, {}, case_units)
-        reader.finish()
-    return laws
+def _placed(name: str, experiments: Sequence[Experiment]) -> list[tuple[str, Series]]:
+    """Return all series of experiments, each with how sentences about it begin."""
+    return [
+        (f'{name}: experiment "{legible(experiment.name)}": {series.name}', series)
+        for experiment in experiments
+        for series in experiment.series
+    ]
+
+
+def _planned(name: str, experiments: Sequence[Experiment]) -> list[Fault]:
+    """Return the faults of readings that are planned, where there must be some."""
+    rule = "file or value must be given; planned readings are for --dry-run and ringwear design"
+    return [
+        Fault(f"{place}: {rule}", "experiment.data.file", "missing")
+        for place, series in _placed(name, experiments)
+        if series.planned
+    ]
 
 
 def _check(problem: Problem, faults: list[str]) -> None:
@@ -235,5 +232,26 @@ def _check(problem: Problem, faults: list[str]) -> None:
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )
+        return
+    _check_censored(problem, faults)
     check_scatter(problem, faults)
     check_process(problem, faults)
+
+
+def _check_censored(problem: Problem, faults: list[str]) -> None:
+    """Refuse what does not go together with censored readings."""
+    for place, series in _placed(problem.name, problem.experiments):
+        if series.censored is None or not series.censored.any():
+            continue
+        rules = {
+            'must be absent with loss = "student"': problem.settings.loss == "student",
+            "must be absent with process": bool(problem.settings.process),
+            "must be absent with correlation_time": series.correlation_time > 0.0,
+            'needs sd as a number where all readings are: must not be "fit"':
+                series.sd_fitted and series.censored.all(),
+        }  # fmt: skip
+        faults += [
+            Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
+            for rule, broken in rules.items()
+            if broken
+        ]

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -193,8 +193,7 @@ class Series:
     #: where the readings stand; "" and none of a single value
     file: str = ""
     lines: IntArray | None = None
-    #: sentences about units that names of columns lack, and about those that are likely wrong
-    assumptions: tuple[str, ...] = ()
+    #: sentences about times and units that are likely others
     suspicions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
     planned: bool = False
@@ -297,6 +296,10 @@ class MeasuredInput:
         """Return the curve through the readings."""
         return curve(self.series.x, self.readings(case), self.smooth, case.time.end)
 
+    def applied(self, case: Case) -> Case:
+        """Return a case in which the key is the curve through the readings."""
+        return case.replace({self.key: schedules.points_of(self.curve(case))})
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -309,6 +312,8 @@ class Experiment:
     groups: tuple[str, str, str] = ("", "", "")
     #: what of the case was measured
     inputs: tuple[MeasuredInput, ...] = ()
+    #: keys in which its case differs from that of the fit file
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def torque_input(self) -> MeasuredInput | None:
@@ -327,8 +332,7 @@ class Experiment:
         inputs = tuple(replace(i, radius=radius) if i.of_torque else i for i in self.inputs)
         changed = replace(self, inputs=inputs)
         assert changed.torque_input is not None
-        friction = schedules.points_of(changed.torque_input.curve(self.case))
-        return replace(changed, case=self.case.replace({"contact.friction": friction}))
+        return replace(changed, case=changed.torque_input.applied(self.case))
 
     @property
     def n(self) -> int:
@@ -370,7 +374,7 @@ class DesignSpace:
     seconds: float | None = None
     #: how many
     experiments: int = 1
-    #: in which ranges are written, by key, or the case; of others the case's own
+    #: in which ranges are written, by key; of others the case's own
     units: Mapping[str, str] = field(default_factory=dict)
 
     @property

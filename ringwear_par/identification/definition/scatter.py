@@ -4,12 +4,10 @@ Values of keys differ between specimens, batches and laboratories.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.tables import name_unknown_keys
+from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.files.text import shortened
@@ -20,7 +18,7 @@ from ringwear_par.identification.definition.problem import (
     Scatter,
     body_of_wear,
 )
-from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of
+from ringwear_par.identification.definition.schema import keys_of, read_all, reader_of, refuse
 from ringwear_par.studies.variations import unnested
 
 #: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
@@ -29,8 +27,6 @@ _LOG_SCALE = 0.3
 _LARGEST = 3.0
 #: most sizes that one fit may estimate: readings of more tell little but their priors
 _MOST_FITTED = 3
-#: what the machine is set to is the same for all specimens
-_SETTINGS = ("load.",)
 #: of the names of groups
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
 #: tables of wear that may be random
@@ -40,43 +36,35 @@ _RANDOM = tuple(f"wear.{body}" for body in BODIES)
 _LONGEST_CORRELATION = 0.1
 
 
-def read_scatter(
-    place: str, key: str, value: Any, log: bool, unit: str, faults: list[str]
-) -> Scatter | None:
-    """Return the scatter of a fitted key, and add what is wrong with it to the faults."""
+def read_scatter(parameter: TableReader, key: str, log: bool, unit: str) -> Scatter | None:
+    """Return the scatter of a fitted key, None where it has none; its faults are the reader's."""
+    value, faults = parameter.raw("scatter"), parameter.faults
     if value is None:
         return None
-    if key.startswith(_SETTINGS):
-        faults.append(
-            f"{place}: scatter: {key} is set by the machine, not by the specimen; must be a key of "
-            "a wear law, contact.friction, a modulus or a layer"
-        )
+    if key.startswith("load."):
+        rule = f"must be absent, {key} is set by the machine, not by the specimen"
+        parameter.wrong("scatter", rule, "conflict")
         return None
     table = value if isinstance(value, Mapping) else {"specimen": value}
-    reader = reader_of("fit.parameters.KEY.scatter", f"{place}.scatter", table, faults)
-    before = len(faults)
-    size_unit = "1" if log else unit
-    read = {group: reader.read(group, unit=size_unit) for group in GROUPS}
+    before, place = len(faults), f"{parameter.place}: scatter"
+    reader = reader_of("fit.parameters.KEY.scatter", place, table, faults)
+    unit = "1" if log else unit
+    read = {group: reader.read(group, unit=unit) for group in GROUPS}
     sizes = {group: size for group, size in read.items() if size is not None}
-    scale, start = (reader.read(name, unit=size_unit) for name in ("prior", "start"))
+    scale, start = (reader.read(name, unit=unit) for name in ("prior", "start"))
     reader.finish()
     if not sizes and len(faults) == before:
         reader.fault(f"must have one of {', '.join(GROUPS)}")
     for name, size in {**sizes, "prior": scale}.items() if log else ():
         if isinstance(size, float) and size > _LARGEST:
-            reader.wrong(
-                name, f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
-            )
+            rule = f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
+            reader.wrong(name, rule)
     if not log and scale is None and "fit" in sizes.values():
-        reader.wrong(
-            "prior", f'must be {{ half_t = scale }} in {unit} where scale = "linear" and the '
-            'scatter is "fit"'
-        )  # fmt: skip
-    if len(faults) > before:
-        return None
-    scale = _LOG_SCALE if scale is None else scale
-    known = {group: size if isinstance(size, float) else None for group, size in sizes.items()}
-    return Scatter(known, scale, 0.5 * scale if start is None else start)
+        rule = 'where scale = "linear" and the scatter is "fit"'
+        reader.wrong("prior", f"must be {{ half_t = scale }} in {unit} {rule}")
+    scale = scale or _LOG_SCALE
+    known = {group: None if size == "fit" else size for group, size in sizes.items()}
+    return Scatter(known, scale, start or 0.5 * scale)
 
 
 def check_scatter(problem: Problem, faults: list[str]) -> None:
@@ -90,7 +78,7 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
             f'{name}: {count} sizes of scatter and process are "fit"; must be at most '
             f"{_MOST_FITTED}"
         )
-    if not scatters or not experiments:
+    if not scatters:
         return
     if all(s.censored is not None and s.censored.all() for e in experiments for s in e.series):
         faults.append(
@@ -108,59 +96,57 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
                     f'of "{legible(seen[specimen])}"; must be of one {group}'
                 )
     for key, group in fitted:
-        if (count := len({*names[group]})) == 1:
-            plural = PLURALS[group]
+        count, plural = len({*names[group]}), PLURALS[group]
+        if count == 1:
             faults.append(
                 f"{name}: scatter of {key} between {plural} cannot be fitted to one "
                 f"{group}; must be a number, or there must be at least 2 {plural}"
             )
         for small in GROUPS[: GROUPS.index(group)]:
-            if (key, small) in fitted and len(
-                {*zip(names[small], names[group], strict=True)}
-            ) == count:
+            pairs = {*zip(names[small], names[group], strict=True)}
+            if (key, small) in fitted and len(pairs) == count:
                 faults.append(
                     f"{name}: scatter of {key}: {group} and {small} are the same groups; "
                     'only one of the two can be "fit"'
                 )
 
 
-def read_process(place: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
-    """Return the process noise by key ("wear.lower"), and add faults of it to the others."""
+def read_process(fit: TableReader) -> dict[str, ProcessNoise]:
+    """Return the process noise by key ("wear.lower"); its faults are the reader's."""
+    table = fit.raw("process", {})
     if not isinstance(table, Mapping):
-        faults.append(f"{place} = {shortened(table)}: must be a table of wear.lower, wear.upper")
+        fit.wrong("process", "must be a table of wear.lower, wear.upper")
         return {}
-    entries = unnested(table, keys_of("fit.process.KEY").keys())
-    name_unknown_keys(place, entries, _RANDOM, faults, table="fit.process")
-    noises = {
-        key: _read_noise(f"{place}.{key}", entries[key], faults)
+    entries, place = unnested(table, keys_of("fit.process.KEY").keys()), f"{fit.place}.process"
+    name_unknown_keys(place, entries, _RANDOM, fit.faults, table="fit.process")
+    return {
+        key: _read_noise(f"{place}.{key}", entries[key], fit.faults)
         for key in _RANDOM
         if key in entries
     }
-    return {key: noise for key, noise in noises.items() if noise is not None}
 
 
-def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | None:
-    before = len(faults)
+def _read_noise(place: str, value: object, faults: list[str]) -> ProcessNoise:
     if not isinstance(value, Mapping) and value != "fit":
         rule = 'must be "fit", or a table of size or share, and prior'
         faults.append(f"{place} = {shortened(value)}: {rule}")
-        return None
-    table = {"size": "fit"} if value == "fit" else value
-    reader, (size, share, scale) = read_all("fit.process.KEY", place, table, faults)
+        return ProcessNoise()
+    before, table = len(faults), {"size": "fit"} if value == "fit" else value
+    reader = reader_of("fit.process.KEY", place, table, faults)
+    size, share, scale = read_all(reader)
     if len(faults) == before and (size is None) == (share is None):
         reader.fault("must have one of size and share", code="missing")
-    if scale is not None and size != "fit":
-        reader.wrong("prior", 'must be absent where the size is not "fit"', "conflict")
-    known = size if isinstance(size, float) else None
-    noise = ProcessNoise(known, share)
-    return noise if scale is None else replace(noise, scale=scale)
+    if size != "fit":
+        refuse(reader, 'where the size is not "fit"', "prior")
+        return ProcessNoise(size, share)
+    return ProcessNoise() if scale is None else ProcessNoise(scale=scale)
 
 
 def check_process(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of wear's own noise to the faults."""
     name, experiments = problem.name, problem.experiments
     series = [(experiment.name, one) for experiment in experiments for one in experiment.series]
-    bodies = [body_of_wear(key) for key in problem.settings.process] if experiments else []
+    bodies = [body_of_wear(key) for key in problem.settings.process]
     for body in bodies:
         key = f"fit.process.wear.{body}"
         if not any(experiment.case.laws[BODIES.index(body)] for experiment in experiments):

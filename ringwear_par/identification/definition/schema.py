@@ -20,6 +20,7 @@ from ringwear_par.cases.values import (
     text,
     whole,
 )
+from ringwear_par.errors import legible
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
     Criterion,
@@ -72,11 +73,15 @@ def _only(name: str, read: Reader, allowed: str) -> Values:
     return Values("any", value_of, f"{{ {name} = {allowed}")
 
 
-def _normal(value: Any) -> Prior:
-    """Return a normal distribution."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise RejectedError
-    return Prior(number(-math.inf).read(value[0]), number(0.0).read(value[1]))
+def _prior(low: float, allowed: str) -> Values:
+    """Return normal distributions whose mean is above a number."""
+
+    def read(value: Any) -> Prior:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            raise RejectedError
+        return Prior(number(low).read(value[0]), number(0.0).read(value[1]))
+
+    return _only("normal", read, f"[mean, sd] }}, two numbers{allowed}")
 
 
 def _flag() -> Values:
@@ -95,10 +100,28 @@ def _number_or(*words: str, allowed: str) -> Values:
     return Values("any", lambda v: v if v in words else number(0.0).read(v), allowed)
 
 
-_PRIOR = _only("normal", _normal, "[mean, sd] }, two numbers, sd > 0")
+def _range() -> Values:
+    """Return two numbers above 0 that do not fall."""
+
+    def read(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise RejectedError
+        low, high = map(number(0.0).read, value)
+        if low > high:
+            raise RejectedError
+        return low, high
+
+    return Values("any", read, "[lowest, highest], two numbers, above 0")
+
+
+_PRIOR, _POSITIVE = _prior(-math.inf, ", sd > 0"), _prior(0.0, " > 0")
+_FACTOR = _only("prior", _POSITIVE.read, "{ normal = [mean, sd] } }, two numbers > 0")
 _HALF_T = _only("half_t", number(0.0).read, "scale }, a number > 0")
 _SIZE = _number_or("fit", allowed='"fit", or a number > 0')
 _SMOOTHING = _number_or("auto", "none", allowed='"auto", "none", or a time > 0')
+_DENSITY = number(*DENSITIES, ends=True)._replace(
+    allowed="from {:g} to {:g} g/mm3, as of foams and metals".format(*DENSITIES)
+)
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
 _CASE_KEYS = anything("a table of case keys and their values")
 _BOUNDS = pair(-math.inf)
@@ -126,20 +149,6 @@ def _quantities_with(kind: str) -> str:
     return ", ".join(
         name for name, reading_kind in READING_KINDS.items() if kind in reading_kind.nuisances
     )
-
-
-def _range() -> Values:
-    """Return the ranges of keys that vary between next tests."""
-
-    def read(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise RejectedError
-        low, high = map(number(0.0).read, value)
-        if low > high:
-            raise RejectedError
-        return low, high
-
-    return Values("any", read, "[lowest, highest], two numbers, above 0")
 
 
 KEYS: tuple[Key, ...] = (
@@ -181,7 +190,7 @@ KEYS: tuple[Key, ...] = (
         "default 0.1", None),
     Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
         "unit in which the key is reported beside the case's; default: the one in which its start "
-        "is written, or else its number in the case", None),
+        "is written", None),
     Key("fit.level", *number(0.5, 1.0), "1", "confidence level of the intervals", _USUAL.level),
     Key("fit.loss", *one_of(*get_args(Loss)), "-",
         "distribution of the noise: gaussian, or student (4 degrees of freedom) against outliers",
@@ -216,10 +225,9 @@ KEYS: tuple[Key, ...] = (
         "auto: a smoothing spline, denser early in the test, its knots and penalty by "
         "generalised cross-validation; a time: a smoothing spline that halves waves of this "
         f"period; none: linear between the readings, {MOST_POINTS} at most", "auto"),
-    Key("experiment.input.scale", *anything("a table of prior"), "-",
-        "calibration: a factor on the readings that is estimated; default: they are exact", None),
-    Key("experiment.input.scale.prior", *_PRIOR, "1",
-        "what is known of the factor: a normal distribution, as { normal = [1.0, 0.01] }"),
+    Key("experiment.input.scale", *_FACTOR, "1",
+        "calibration: what is known of a factor on the readings, which is estimated; default: they "
+        "are exact", None),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
         "measured quantity. Depths, penetrations, masses and volumes are positive where material "
         "is lost; profile points outside the contact count as unworn; through is the time at which "
@@ -235,7 +243,7 @@ KEYS: tuple[Key, ...] = (
         "names of the columns of file; default: time (or r) and value", None),
     Key("experiment.data.units", *_COLUMNS, "-",
         "units of the columns of file, as pint writes them; default: the units in the columns' "
-        "names (z_um, z / um), which must agree; without any, s, mm, N mm, g, mm^3", None),
+        "names (z_um, z / um), which must agree; one of both must be given", None),
     *file_keys("experiment.data"),
     Key("experiment.data.value", *number(-math.inf), "data's",
         "a single reading, instead of file; perhaps with its unit (\"6.1 mg\")", None),
@@ -248,11 +256,10 @@ KEYS: tuple[Key, ...] = (
     Key("experiment.data.r", *_instants(), "mm",
         "radii of a planned profile, instead of file; for --dry-run and "
         "ringwear design only", None),
-    Key("experiment.data.density", *number(0.0), "g/mm^3",
-        "one density of all material that the weighed body has lost, layers included, from {:g} "
-        "to {:g}; default: the densities of the body and its layers in the case. A mass needs one "
-        "or the other"
-        .format(*DENSITIES), None),
+    Key("experiment.data.density", *_DENSITY, "g/mm^3",
+        "one density of all material that the weighed body has lost, layers included; default: "
+        "the densities of the body and its layers in the case. A mass needs one or the other",
+        None),
     Key("experiment.data.sd", *number(0.0), "data's",
         "standard deviation of the readings' noise: a number, the name of a column of file (in its "
         "own unit, or the data's), { relative = x } (share of the running median of the readings) "
@@ -290,10 +297,10 @@ KEYS: tuple[Key, ...] = (
         "s", "time constant of the growth; needs start, and prior or bounds"),
     Key("experiment.data.nuisance.thermal.time.start", *number(0.0), "s",
         "time constant at which the search begins"),
-    Key("experiment.data.nuisance.thermal.time.prior", *_PRIOR, "s",
+    Key("experiment.data.nuisance.thermal.time.prior", *_POSITIVE, "s",
         "what is known of the time constant without these readings: a normal distribution", None),
-    Key("experiment.data.nuisance.thermal.time.bounds", *pair(0.0), "s",
-        "smallest and largest time constant, > 0; default: four sd of the prior from its mean, and "
+    Key("experiment.data.nuisance.thermal.time.bounds", *_range(), "s",
+        "smallest and largest time constant; default: four sd of the prior from its mean, and "
         "at least a hundredth of that", None),
     Key("tests.file", *text("the name of a table: a text file with commas, semicolons or tabs"),
         "-", "table of the laboratory, relative to this file, instead of [[experiment]]s or beside "
@@ -345,9 +352,46 @@ def reader_of(name: str, place: str, table: Any, faults: list[str]) -> TableRead
     return TableReader(place, table, faults, keys_of(name))
 
 
-def read_all(name: str, place: str, table: Any, faults: list[str]) -> tuple[TableReader, list[Any]]:
-    """Return the reader of a table of this dotted name, and all its values in its keys' order."""
-    reader = reader_of(name, place, table, faults)
-    values = [reader.read(key) for key in keys_of(name)]
+def inner(reader: TableReader, name: str, schema: str = "") -> TableReader:
+    """Return the reader of a table within another one; an absent one is empty.
+
+    Parameters
+    ----------
+    schema : its dotted name in the schema; "": that of the table, and its own.
+    """
+    place, table = f"{reader.place}: {legible(name)}", reader.raw(name, {})
+    name = f"{reader.loc}.{name}".lstrip(".")
+    return reader_of(schema or name, place, table, reader.faults)
+
+
+def tables_in(reader: TableReader, name: str, *, needed: bool = False) -> list[TableReader]:
+    """Return the readers of a list of tables within a table; none, and a fault, of others."""
+    tables, whole_name = reader.raw(name, []), f"{reader.loc}.{name}".lstrip(".")
+    if not isinstance(tables, list) or (needed and not tables):
+        reader.wrong(name, f"must be tables, [[{whole_name}]]")
+        return []
+    return [
+        reader_of(whole_name, f"{reader.place}: {name} {number}", table, reader.faults)
+        for number, table in enumerate(tables, start=1)
+    ]
+
+
+def read_all(reader: TableReader) -> list[Any]:
+    """Return the values of a table in its keys' order, and refuse all other keys."""
+    values = [reader.read(key) for key in keys_of(reader.loc)]
     reader.finish()
-    return reader, values
+    return values
+
+
+def refuse(reader: TableReader, where: str, *names: str) -> None:
+    """Refuse keys that must be absent where a table has others, as ``where`` says."""
+    for name in names:
+        if name in reader:
+            reader.raw(name)
+            reader.wrong(name, f"must be absent {where}", "conflict")
+
+
+def check_start(reader: TableReader, start: float, bounds: tuple[float, float]) -> None:
+    """Refuse a start beyond its bounds."""
+    if not bounds[0] <= start <= bounds[1]:
+        reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")

@@ -1,9 +1,8 @@
 """``[[experiment.data]]``: from a table of a fit file to readings in the units of a case."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.errors import counted, legible
+from ringwear_par.errors import counted
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.data_sources import (
     lines_of,
@@ -26,110 +25,93 @@ from ringwear_par.identification.definition.problem import (
     friction_power,
 )
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
-from ringwear_par.identification.definition.schema import DENSITIES, read_all, reader_of
+from ringwear_par.identification.definition.schema import (
+    DENSITIES,
+    check_start,
+    inner,
+    read_all,
+    refuse,
+)
 
 #: largest correlation time, in lengths of the test: noise correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
-#: fewest readings of a record, and the share of the test that it covers at least: a shorter one may
-#: be in another unit
-_RECORD, _SHORT_RECORD = 3, 0.1
-#: share of the test by which times may be later than its end, as when rounded to minutes
-_ROUNDED = 2e-4
 #: a time constant is fitted within so many sd of its prior about the prior's mean
 _PRIOR_REACH = 4.0
+#: schema of all nuisances but thermal growth
+_NUISANCE = "experiment.data.nuisance.KIND"
 #: blocks of equal time of a test, in which the readings of a long record are averaged
 BLOCKS = 500
 
 
-def read_series(
-    place: str,
-    table: Any,
-    case: Case | None,
-    files: FileStore,
-    faults: list[str],
-    *,
-    plans: bool = False,
-) -> Series | None:
-    """Return the readings of one table, or add its faults; a case that has some itself is None."""
-    before, reader = len(faults), reader_of("experiment.data", place, table, faults)
-    if (quantity := reader.read("quantity")) is None:
+def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Series | None:
+    """Return the readings of a table; None, and its faults, where it has some.
+
+    Parameters
+    ----------
+    case : of its test; one that has faults itself is None.
+    """
+    before, quantity = len(reader.faults), reader.read("quantity")
+    if quantity is None:
         return None
     kind, _, body = quantity.partition(".")
-    reader.place = f"{place} ({quantity})"
-    end = math.inf if case is None else case.time.end
-    at = _read_at(reader, kind, end)
-    density = density_of(reader, body, case) if kind == "mass" else 1.0
+    reader.place = f"{reader.place} ({quantity})"
+    end, profile = math.inf if case is None else case.time.end, kind == "profile"
+    if kind == "through":
+        refuse(reader, "where value is the time at which the layer is through", "at")
+    elif not profile and {"file", "times"} & reader.keys():
+        refuse(reader, "beside file or times, which tell when readings were made", "at")
+    at: float | None = reader.read("at")
+    if at is not None and at > end:
+        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
+    density = _density(reader, body, case) if kind == "mass" else 1.0
     if kind == "through" and case is not None and not getattr(case, body).layers:
         reader.fault(f"{body} has no layers; must have one at least")
-    if (readings := read_readings(reader, kind, at, end, files, plans)) is None:
-        return None
-    series, profile = readings.series, kind == "profile"
-    if kind == "through":  # and may be after the end
-        series = replace(series, x=np.minimum(series.value, end))
-    if not profile:
-        series = replace(series, x=rounded_end(series.x, end))
     excluded = read_intervals(reader, "exclude", "mm" if profile else "s")
-    keep = is_outside(series.x, excluded)
-    sd, fitted = read_noise(reader, readings, keep)
-    censored = read_censored(reader, readings)
     nuisances = _nuisances(reader, kind, case)
+    if profile:
+        refuse(reader, "for a profile, it is for noise in time", "correlation_time")
     correlation = reader.read("correlation_time")
-    if correlation > 0 and profile:
-        rule = "must be absent for a profile, it is for noise in time"
-        reader.wrong("correlation_time", rule, "conflict")
     if correlation > _LONGEST_CORRELATION * end:
         reader.wrong(
             "correlation_time",
             f"must be at most {_LONGEST_CORRELATION:g} times the test, which ends at {end:g} s; "
             "noise that never changes is an offset",
         )
+    readings = read_readings(reader, kind, at, end, files)
+    if readings is None:
+        for name in ("sd", "censored"):
+            reader.raw(name)
+        reader.finish()
+        return None
+    keep = is_outside(readings.series.x, excluded)
+    sd, fitted = read_noise(reader, readings, keep)
+    censored = read_censored(reader, readings)
     reader.finish()
-    if len(faults) > before:
-        return None
-    suspicions = series.suspicions
-    if not profile and series.lines is not None and series.n >= _RECORD:
-        last = float(series.x.max())
-        if 0.0 < last < _SHORT_RECORD * end:
-            suspicions += (
-                f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
-            )
     series = replace(
-        series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted, density=density,
-        at=(end if at is None else at) if profile else None, nuisances=nuisances,
-        correlation_time=correlation, suspicions=suspicions, excluded=tuple(excluded),
-        censored=censored,
+        readings.series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted,
+        density=density, at=(end if at is None else at) if profile else None, nuisances=nuisances,
+        correlation_time=correlation, excluded=tuple(excluded), censored=censored,
     ).part(keep)  # fmt: skip
-    _check(reader, series, case)
-    return series if len(faults) == before else None
+    if case is not None and len(reader.faults) == before:
+        _check(reader, series, case)
+    return series if len(reader.faults) == before else None
 
 
-def _read_at(reader: TableReader, kind: str, end: float) -> float | None:
-    """Return the time of readings, s; None, and perhaps a fault, where they have their own."""
-    at: float | None = reader.read("at")
-    timed = next((key for key in ("file", "times") if key in reader), "")
-    if at is None:
-        return None
-    if at > end:
-        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
-    if kind == "through":
-        rule = "must be absent: value is the time at which the layer is through"
-        reader.wrong("at", rule, "conflict")
-    elif timed and kind != "profile":
-        rule = f"must be absent beside {timed}, whose readings have their times"
-        reader.wrong("at", rule, "conflict")
-    return at
-
-
-def _check(reader: TableReader, series: Series, case: Case | None) -> None:
+def _check(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse a series without readings, or with too few, or with some that a case cannot have."""
     if not series.n:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
         return
-    if case is not None and series.profile:
-        _check_profile(reader, series, case)
-    elif case is not None:
+    if series.profile:
+        (low, high), x, (a, b) = getattr(case, series.body).r, series.x, case.contact
+        rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm"
+        refuse_readings(reader, series, (x < low) | (x > high), "r = {x:g} mm", rule)
+        if not ((x >= a) & (x <= b)).any():
+            place = f"{series.file or 'r'}: has no reading within the contact"
+            reader.fault(f"{place}, {a:g} to {b:g} mm; must have one at least")
+    else:
         check_times(reader, series, case.time.end)
-    if case is not None and READING_KINDS[series.kind].unit == "mm":
+    if READING_KINDS[series.kind].unit == "mm":
         highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
         rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
         deep = np.abs(series.value) > highest
@@ -148,91 +130,64 @@ def is_outside(x: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolA
     return ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
 
 
-def rounded_end(x: FloatArray, end: float) -> FloatArray:
-    """Return times (n,) s whose last one is the end of the test, s, if it may be rounded."""
-    rounded = len(x) > 0 and end < x[-1] <= end * (1.0 + _ROUNDED)
-    return np.append(x[:-1], end) if rounded else x
-
-
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
-    table, allowed = reader.raw("nuisance", {}), READING_KINDS[kind].nuisances
-    if not isinstance(table, Mapping):
-        reader.wrong("nuisance", f"must be a table of {', '.join(allowed)}")
-        return ()
-    nuisances = []
-    for name, entry in table.items():
-        place = f"{reader.place}: nuisance.{legible(name)}"
-        if name not in allowed:
-            sentence = f"nuisance.{legible(name)}: must be one of {', '.join(allowed)}"
-            reader.fault(sentence, "nuisance", "unknown_key")
-        elif name == "thermal":
-            nuisances += _growth(place, entry, case, reader.faults)
-        else:
-            nuisances.append(_nuisance(place, name, entry, reader.faults))
+    table, allowed = inner(reader, "nuisance"), READING_KINDS[kind].nuisances
+    nuisances = list[Nuisance]()
+    for name in allowed:
+        table.raw(name)
+    table.finish()
+    for name in [*table.keys()]:  # in their order
+        if name == "thermal" and name in allowed:
+            nuisances += _growth(inner(table, name), case)
+        elif name in allowed:
+            nuisances.append(Nuisance(name, *read_all(inner(table, name, _NUISANCE))))
         if name == "compliance" and case is not None and case.load.force is None:
-            reader.fault(f'nuisance.{name} needs load.control = "force"', "nuisance", "conflict")
+            table.wrong(name, 'needs load.control = "force"', "conflict")
     return tuple(nuisances)
 
 
-def _nuisance(
-    place: str, kind: str, entry: Any, faults: list[str], *, power: bool = False
-) -> Nuisance:
-    _, (prior, bounds) = read_all("experiment.data.nuisance.KIND", place, entry, faults)
-    return Nuisance(kind, prior, bounds, power=power)
-
-
-def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> list[Nuisance]:
+def _growth(reader: TableReader, case: Case | None) -> list[Nuisance]:
     """Return the growth of a warm rig, and its time constant, s."""
-    before = len(faults)
-    reader = reader_of("experiment.data.nuisance.thermal", place, entry, faults)
-    power, amplitude = reader.read("power"), reader.raw("amplitude", {})
-    grown = _nuisance(f"{place}.amplitude", "thermal", amplitude, faults, power=power)
+    faults, power = reader.faults, reader.read("power")
+    prior, bounds = read_all(inner(reader, "amplitude", _NUISANCE))
+    grown = Nuisance("thermal", prior, bounds, power=power)
     if power and case is not None and case.load.force is None:
         reader.wrong("power", 'needs load.control = "force"', "conflict")
     elif power and case is not None and not friction_power(case)[1].any():
         rule = "needs friction power, mu F omega > 0, at some time of the test"
         reader.wrong("power", rule, "conflict")
-    table, name = reader.raw("time", {}), "experiment.data.nuisance.thermal.time"
-    time, (start, prior, bounds) = read_all(name, f"{place}.time", table, faults)
+    before, time = len(faults), inner(reader, "time")
+    start, prior, bounds = read_all(time)
     reader.finish()
     if len(faults) > before:
         return []
-    if prior is not None and prior.mean <= 0.0:
-        time.wrong("prior", "must have a mean > 0 (s)")
-    elif bounds is None and prior is None:
+    if bounds is None and prior is None:
         time.fault("has neither prior nor bounds; must have one of them at least", code="missing")
-    elif bounds is None:
+        return []
+    if bounds is None:
         reach = _PRIOR_REACH * prior.sd
         bounds = max(prior.mean - reach, 0.01 * prior.mean), prior.mean + reach
-    elif bounds[0] == 0.0:
-        time.wrong("bounds", "must be two increasing numbers > 0 (s)")
-    if len(faults) == before and not bounds[0] <= start <= bounds[1]:
-        time.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g} s")
+    check_start(time, start, bounds)
     return [grown, Nuisance(GROWTH_TIME, prior, bounds, start, power)]
 
 
-def density_of(reader: TableReader, body: str, case: Case | None) -> float | None:
+def _density(reader: TableReader, body: str, case: Case | None) -> float | None:
     """Return the density of all that a body loses, g/mm3; None where each layer has its own.
 
-    Refuse one that is not known, or that nothing has, as that in another unit.
+    Refuse one of the case that is not known, or that nothing has, as that in another unit.
     """
-    low, high = DENSITIES
-    rule = f"must be from {low:g} to {high:g} g/mm3, as of foams and metals"
+    density: float | None = reader.read("density")
     if "density" in reader or case is None:
-        density: float | None = reader.read("density")
-        if density is not None and not low <= density <= high:
-            reader.wrong("density", rule)
         return density
     densities = getattr(case, body).densities
     keys = density_keys(body, len(densities) - 1)
     if missing := [key for key, value in zip(keys, densities, strict=True) if not value]:
-        reader.wrong(
-            "density", f"must be given here, or as {', '.join(missing)} of the case (g/mm3)"
-        )
-    reader.read("density")
-    for key, density in zip(keys, densities, strict=True):
-        if density and not low <= density <= high:
-            reader.fault(f"{key} = {density:g}: {rule}")
+        rule = f"must be given here, or as {', '.join(missing)} of the case (g/mm3)"
+        reader.wrong("density", rule)
+    low, high = DENSITIES
+    for key, value in zip(keys, densities, strict=True):
+        if value and not low <= value <= high:
+            reader.fault(f"{key} = {value:g}: must be from {low:g} to {high:g} g/mm3")
     return densities[0] if len(set(densities)) == 1 else None
 
 
@@ -254,20 +209,6 @@ def check_times(reader: TableReader, series: Series, end: float) -> None:
     refuse_readings(reader, series, late, "time {x:g} s", "times must increase")
     rule = f"must be within the test, from 0 to {end:g} s (time.end)"
     refuse_readings(reader, series, (x < 0) | (x > end), "time {x:g} s", rule)
-
-
-def _check_profile(reader: TableReader, series: Series, case: Case) -> None:
-    """Refuse radii that are not those of the body."""
-    (low, high), x = getattr(case, series.body).r, series.x
-    outside = (x < low) | (x > high)
-    rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm"
-    refuse_readings(reader, series, outside, "r = {x:g} mm", rule)
-    a, b = case.contact
-    if not ((x >= a) & (x <= b)).any():
-        reader.fault(
-            f"{series.file or 'r'}: has no reading within the contact, {a:g} to {b:g} mm; must "
-            "have one at least"
-        )
 
 
 def averaged(series: Series, end: float) -> Series:

@@ -9,6 +9,7 @@ from paths import CASES
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import FittedParameter
+from ringwear_par.identification.definition.schema import KEYS
 
 #: every key that a fit file may have
 FULL = """
@@ -103,14 +104,23 @@ def test_values_stay_within_bounds_without_overflow():
     assert parameter.value(parameter.unknown(3e-7)) == pytest.approx(3e-7, rel=1e-12)
 
 
-def test_starts_and_plans_and_what_is_left_out_may_have_units(good):
+def test_defaults_are_those_of_what_is_read(good):
+    """A file that says every default is read as one that says none."""
+    tables = copy.deepcopy(good) | {"design": {"vary": {"load.pressure": [1.0, 2.0]}}}
+    plain = read_fit(tables)
+    for key in KEYS:
+        table, _, name = key.path.rpartition(".")
+        if table in ("fit", "design") and key.default is not None:
+            tables[table][name] = key.default
+    tables["fit"]["parameters"]["wear.lower.p0"]["scale"] = "linear"
+    said = read_fit(tables)
+    assert said.settings == plain.settings
+    assert said.design == plain.design
+    assert said.parameters == plain.parameters
+
+
+def test_starts_and_ranges_may_have_units(good):
     given = copy.deepcopy(good)
-    profile = given["experiment"][0]["data"][1]
-    profile["exclude"] = [["2.84 cm", 28.6]]
-    given["experiment"][0]["data"][0] = {
-        "quantity": "penetration", "unit": "um", "sd": "0.2 um",
-        "times": {"from": "2 s", "to": "1 min", "count": 30},
-    }  # fmt: skip
     given["fit"]["parameters"] = {
         "wear.lower.k": {
             "start": "1e-4 mm3/(N m)", "bounds": ["1e-9 1/MPa", 1e-5], "scale": "log",
@@ -123,13 +133,10 @@ def test_starts_and_plans_and_what_is_left_out_may_have_units(good):
         "vary": {"load.pressure": ["20 MPa", "0.1 GPa"], "time.end": [10, "2 min"]},
         "budget": {"time.end": "5 min", "experiments": 2},
     }
-    problem = read_fit(given, plans=True)
+    problem = read_fit(given)
     k, p0 = problem.parameters
     assert (k.start, k.bounds) == (1e-7, (1e-9, 1e-5))
     assert (p0.bounds, p0.prior) == ((0.0, 200.0), (20.0, 5.0))
-    planned, read = problem.experiments[0].series
-    assert planned.x == pytest.approx(np.linspace(2.0, 60.0, 30))
-    assert not ((read.x >= 28.4) & (read.x <= 28.6)).any()
     assert problem.design.ranges == {"load.pressure": (20.0, 100.0), "time.end": (10.0, 120.0)}
     assert problem.design.seconds == 300.0
 

@@ -13,9 +13,16 @@ def test_numbers_with_units(plan):
     """As in case files."""
     tables = copy.deepcopy(plan)
     weighing = {"quantity": "mass.lower", "value": 3.0, "unit": "mg", "sd": "100 ug"}
-    tables["experiment"][0]["data"].append({**weighing, "density": "1.9 g/cm^3", "at": "1.5 min"})
-    tables["experiment"][0]["data"][0] |= {"sd": "0.0002 mm", "correlation_time": "0.1 min"}
-    record, _, mass = read_fit(tables, plans=True).experiments[0].series
+    volume = {"quantity": "volume.lower", "value": "2 mm3", "sd": "0.1 mm3"}
+    data = tables["experiment"][0]["data"]
+    data += [volume, {**weighing, "density": "1.9 g/cm^3", "at": "1.5 min"}]
+    data[0] |= {"sd": "0.0002 mm", "correlation_time": "0.1 min"}
+    data[0]["times"] = {"from": "2 s", "to": "1 min", "count": 30}
+    data[1]["exclude"] = [["2.84 cm", 28.6]]
+    record, profile, volume, mass = read_fit(tables, plans=True).experiments[0].series
+    assert record.x == pytest.approx(np.linspace(2.0, 60.0, 30))
+    assert not ((profile.x >= 28.4) & (profile.x <= 28.6)).any()
+    assert (volume.value, volume.sd) == (pytest.approx([2.0]), pytest.approx([0.1]))
     assert mass.density == pytest.approx(0.0019)
     assert mass.x == pytest.approx([90.0])
     assert mass.sd == pytest.approx([1e-4])
