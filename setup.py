@@ -30,5 +30,6 @@ def extension(room: str, name: str) -> Extension:
 setup(
     ext_modules=cythonize(
         [extension("elasticity", "_rings"), extension("contact", "_rows")], build_dir="build"
-    )
+    ),
+    options={"build_ext": {"parallel": True}},
 )

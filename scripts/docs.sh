@@ -6,7 +6,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 source scripts/setup.sh
 python -c 'import furo, latex2mathml, myst_parser, numpydoc, sphinx_copybutton, sphinx_gallery' 2> /dev/null ||
-    python -m pip install -qq -e ".[docs]" "numpy==$(python -c 'import numpy; print(numpy.__version__)')"
+    python -m pip install -qq --no-compile $(python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"])')
 rm -rf docs/_build docs/generated
 python -m sphinx -q -n -W --keep-going -b html docs docs/_build/html
 python docs/extensions/check_links.py docs/_build/html
