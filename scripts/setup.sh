@@ -25,7 +25,7 @@ ringwear_setup() {
         echo "ringwear setup: Python packages into $venv, a minute or two" >&2
         # petsc4py and scipy of Debian 12 are built for numpy 1
         case "$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)')" in 1.*) numpy="numpy<2" ;; esac
-        "$venv/bin/python" -m pip install -qq -e "$top[test]" "$numpy" || return 1
+        "$venv/bin/python" -m pip install -qq --no-compile -e "$top[test]" "$numpy" || return 1  # most modules stay unused
         echo "$top $(/usr/bin/python3 -V)" > "$venv/made"
     fi
     source "$venv/bin/activate"

@@ -16,7 +16,7 @@ log="$(mktemp -d)"
 site=$!
 trap 'kill "$site" 2> /dev/null || true' EXIT
 # limits are for hangs, not for load; there are more tests at once than cores, the slow ones first
-timeout -k 5 2400 python -m pytest -q -n 4 --dist loadfile --no-loadscope-reorder
+timeout -k 5 2400 python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
 wait "$site" || { cat "$log/site"; exit 1; }
 for ranks in 2 3; do
     echo "on $ranks ranks"

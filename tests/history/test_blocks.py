@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parts import computed, results_of, simulate_one
+from parts import computed, results_of
 from paths import CASES, PAPER
 from tracing import ALONE
 
@@ -210,29 +210,3 @@ def test_a_sweep_of_wear_through_agrees_with_single_runs():
         assert through == pytest.approx(
             exact.attributes["time_through_lower"], rel=1e-3, nan_ok=True
         )
-
-
-GOING_ON = {
-    "adaptive": ("paper", BASE),
-    "implicit": ("paper", {**BASE, **IMPLICIT}),
-    "layers": ("wear_through", {"mesh.contact_elements": 16, "time.end": 90.0}),
-    "following": ("updated", {"mesh.contact_elements": 16}),
-}
-
-
-@pytest.mark.parametrize("name", GOING_ON)
-def test_a_history_goes_on_from_any_of_its_states_to_the_same_bits(name):
-    """A state is all that the rest of the history depends on."""
-    file, keys = GOING_ON[name]
-    case, states = rw.read_case(CASES / f"{file}.toml", keys), []
-
-    def save(instant):
-        states.append(instant.state)
-
-    simulate_one(case, ALONE, save, every=True)
-    whole = [*states]
-    states.clear()
-    simulate_one(case, ALONE, save, first=whole[len(whole) // 2], every=True)
-    assert len(states) == len(whole) - len(whole) // 2 - 1 > 1
-    for field in ("time", "energy", "wear", "pressure", "approach", "layer", "through"):
-        assert np.array_equal(getattr(states[-1], field), getattr(whole[-1], field)), field

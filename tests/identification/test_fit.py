@@ -1,5 +1,7 @@
 """Fits of histories: the truth is found, and what the readings do not tell is said."""
 
+import functools
+
 import numpy as np
 import pytest
 from laboratory import (
@@ -85,7 +87,7 @@ def ends(one_load, comm):
             found = readings.lead(lambda: solve(readings, seed))
         return np.quantile(found.theta, [0.025, 0.5, 0.975], axis=0), found
 
-    return ends
+    return functools.cache(ends)
 
 
 def test_one_load_against_quadrature_over_true_histories(one_load, ends, comm):

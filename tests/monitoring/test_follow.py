@@ -1,5 +1,6 @@
 """Running tests: their posterior against sums over histories, alarms, and files that grow."""
 
+import functools
 import json
 import threading
 import time
@@ -37,6 +38,7 @@ MATERIAL, TRUE_K = 1e-7, 1.3e-7
 OFFSET_AND_DRIFT = {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}}
 WARM = {"offset": {}, "thermal": {"time": {"start": 20.0, "bounds": [3.0, 150.0],
                                            "prior": {"normal": [20.0, 7.0]}}}}  # fmt: skip
+TIMES = np.linspace(2.0, END, 50)
 QUANTILES = (0.025, 0.5, 0.975)
 MORE = '"parameters" = { "contact.friction" = { "start" = 0.1, "bounds" = [0.01, 1.0] },'
 
@@ -55,11 +57,17 @@ def folder(tmp_path_factory):
     return path
 
 
-def clean(seed, k=TRUE_K, sd=2e-4, times=None, drift=3e-4):
+@functools.cache
+def truth():
+    """Return the history of the specimen that runs, for longer than its test."""
+    return history(80.0, {K: TRUE_K, **P0}, 3.0 * END)
+
+
+def clean(seed, k=TRUE_K, sd=2e-4, times=TIMES, drift=3e-4):
     """Return times and penetrations (mm) of a specimen, with an offset, a drift and noise."""
-    truth = history(80.0, {K: k, **P0}, END if times is None else max(END, times[-1]))
-    t, z = penetration(truth, None, times, drift=drift)
-    return t, z + sd * np.random.default_rng(seed).standard_normal(len(t))
+    z = penetration(truth(), None, times * k / TRUE_K, drift=0.0)[1]  # wear goes with k times time
+    noise = np.random.default_rng(seed).standard_normal(len(times))
+    return times, z + drift * times / END + sd * noise
 
 
 def running(folder, name="z", more=(), **changed):
@@ -97,9 +105,8 @@ def exactly(problem, k, size=0.0, width=0.6):
         (y,) = Readings(problem, MPI.COMM_SELF, signals)([(0, x[:, None])])
     given, slopes = Setting.before(test), np.gradient(y, x, axis=0)
     if size:
-        truth = history(80.0, {K: TRUE_K, **P0})
-        worn = truth.histories["worn_volume_lower"] / truth.line.area.sum()
-        depth = np.interp(test.times, truth.histories["time"], worn) / TRUE_K
+        worn = truth().histories["worn_volume_lower"] / truth().line.area.sum()
+        depth = np.interp(test.times, truth().histories["time"], worn) / TRUE_K
         clocks = [((slope / depth, depth),) for slope in slopes]
         logs = [
             TestLikelihood(test, replace(given, clocks=clock), np.sqrt([size / np.exp(at)]))(row)[0]
@@ -141,9 +148,9 @@ def test_the_posterior_of_a_running_test(folder):
     assert np.array(key["told"]["interval"]) == pytest.approx(1e3 * np.array([low, high]))
     assert np.log(key["before"][1] / MATERIAL) == pytest.approx(1.96 * np.hypot(0.1, TAU), rel=0.05)
     assert stored["alarm"] is None
-    truth = history(80.0, {K: TRUE_K, **P0}).histories
+    true = truth().histories
     first, last = stored["depth"]["interval"]
-    assert first < np.interp(5e-3, truth["penetration"], truth["time"]) < last
+    assert first < np.interp(5e-3, true["penetration"], true["time"]) < last
     at_40 = next(row for row in stored["trace"] if row[0] >= 39.0)
     wished = 50.0 * (at_40[3] - at_40[1]) / at_40[2]
     lines = (folder / "z.csv").read_text().splitlines(keepends=True)
@@ -187,7 +194,7 @@ def test_no_alarm_without_a_change_and_one_with_it(folder):
     draws, times = fit_draws(folder / "fit"), np.linspace(2.0, END, 60)
     problem = problem_of(running(folder, "z", nuisance=WARM))
     (test,) = problem.experiments
-    follower, alarms, inside = follower_of(problem, draws), 0, 0
+    follower, alarms, inside = follower_of(problem, draws, 2000), 0, 0
 
     def answer(k, seed, later=1.0):
         _, z = clean(seed, k, 2e-4, np.where(times < 50, times, 50 + later * (times - 50)), 0.0)
@@ -245,7 +252,7 @@ def test_profiles_limits_and_an_sd_that_is_fitted(folder):
 def test_measured_friction_as_far_as_it_was_read(folder):
     """After a fit without scatter, of which there is a warning."""
     t = np.linspace(1.0, 60.0, 40)
-    torque = 0.1 * 80.0 * history(80.0, {K: TRUE_K, **P0}).line.area.sum() * 30.0 * np.ones(40)
+    torque = 0.1 * 80.0 * truth().line.area.sum() * 30.0 * np.ones(40)
     write(folder / "m.csv", ("t_s", "M_Nmm"), t, torque)
     tables = parse_toml(running(folder).read_text(), "fit")
     tables["experiment"][0]["input"] = [{
