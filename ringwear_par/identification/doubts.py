@@ -14,9 +14,9 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import Experiment, body_of_wear
+from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fitted_tests import FittedSeries, scores_and_information
+from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
@@ -109,17 +109,14 @@ def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
     return [check(name, least, ">", _NO_NOISE, *doubt)]
 
 
-def of_tests(solution: Solution, entries: Entries, best: FloatArray, x: FloatArray) -> list[Check]:
+def of_tests(
+    problem: Problem, entries: Entries, scores: FloatArray, information: FloatArray
+) -> list[Check]:
     """Return what tells whether tests agree on the key of a rate on which they agree least.
 
-    By unknowns of tests: (tests, m) of the mode, and draws (s, tests, m).
+    By ``scores_and_information`` of each, (tests, m).
     """
-    problem, tests, found = solution.problem, solution.problem.experiments, []
-    shares = np.median(solution.posterior.shares(solution.theta), axis=0)
-    scores, information = np.stack([
-        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
-        for i, likelihood in enumerate(solution.posterior.likelihoods)
-    ], axis=1)  # fmt: skip
+    tests, found = problem.experiments, []
     for parameter, score, a in zip(problem.parameters, scores.T, information.T, strict=True):
         key = parameter.key
         informed = np.flatnonzero(a > _INFORMED * max(a.max(), 1e-300)).tolist()

@@ -32,7 +32,12 @@ from ringwear_par.identification.draws import (
     write_columns,
     write_draws,
 )
-from ringwear_par.identification.fitted_tests import FittedSeries, fitted_series, readings_of_draws
+from ringwear_par.identification.fitted_tests import (
+    FittedSeries,
+    fitted_series,
+    readings_of_draws,
+    scores_and_information,
+)
 from ringwear_par.identification.key_estimates import key_entries, process_entries
 from ringwear_par.identification.solution import Solution
 from ringwear_par.identification.summary import summary
@@ -189,11 +194,16 @@ def result_of(solution: Solution) -> FitResult:
         for one in every for kind, drawn in one.nuisances.items()
         if kind != GROWTH_TIME and drawn.std() > 0.0
     }  # fmt: skip
-    parameters = key_entries(solution, material, values, of_tests, correlations)
+    shares = np.median(posterior.shares(solution.theta), axis=0)
+    scores, information = np.stack([
+        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
+        for i, likelihood in enumerate(posterior.likelihoods)
+    ], axis=1)  # fmt: skip
+    parameters = key_entries(solution, material, values, of_tests, information, correlations)
     process, squares = process_entries(solution), _goodness(solution, every, x[some])
     checks = [
         *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
-        *doubts.of_tests(solution, parameters, best, x),
+        *doubts.of_tests(problem, parameters, scores, information),
     ]  # fmt: skip
     found = (
         *doubts.of_keys(parameters), *(doubt for _, doubt in checks if doubt is not None),

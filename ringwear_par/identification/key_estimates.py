@@ -35,6 +35,8 @@ _WINDOWS = 20
 _CONDITIONAL = 0.87
 #: fewest readings of a record
 _SEVERAL = 5
+#: half width of the interval of a material that takes so many specimens, and most of these
+_WANTED, _MOST_SPECIMENS = 0.1, 10_000
 #: share of the prior's sd above which an sd says hardly more
 VAGUE = 0.5
 #: share of the largest component of a direction above which keys are mentioned
@@ -86,6 +88,7 @@ def key_entries(
     material: FloatArray,
     values: FloatArray,
     of_tests: FloatArray,
+    information: FloatArray,
     correlations: Mapping[str, FloatArray],
 ) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each key.
@@ -95,6 +98,7 @@ def key_entries(
     material : (s, m) unknowns, a draw for each of the solution's.
     values : (s, m) of them.
     of_tests : (s, tests, m) values of the tests.
+    information : (tests, m) on the unknowns by each test's own readings, given the others.
     correlations : (m,) of the unknowns with nuisances, by their names.
     """
     problem, case = solution.problem, solution.problem.experiments[0].case
@@ -117,7 +121,8 @@ def key_entries(
             entry["direction"] = direction(problem, np.atleast_2d(np.cov(material.T)), j, blamed)
         if j in scatterings:
             s, tests = scatterings[j], of_tests[..., j]
-            entry.update(_scatter(solution, s, parameter, material[:, j], tests))
+            own = float(np.median(np.maximum(information[:, j], 1e-300) ** -0.5))
+            entry.update(_scatter(solution, s, parameter, material[:, j], tests, own))
     tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
     for row, parameter in zip(tied, problem.parameters, strict=True):
         entry = entries[parameter.key]
@@ -138,10 +143,12 @@ def _scatter(
     parameter: FittedParameter,
     material: FloatArray,
     tests: FloatArray,
+    own: float,
 ) -> dict[str, Any]:
     """Return what fit.json tells of a key that scatters.
 
-    By the unknown of the material (s,), and values of the tests (s, tests).
+    By the unknown of the material (s,), values of the tests (s, tests), and the sd of the unknown
+    that a test's own readings leave.
     """
     theta, level, spread = solution.theta, solution.problem.settings.level, s.spread(solution.theta)
     scatter: dict[str, dict[str, Any]] = {}
@@ -168,6 +175,11 @@ def _scatter(
         test.groups[place]: {**_quantiles(of, level), "sd": float(of.std())}
         for test, of in zip(solution.problem.experiments, tests.T, strict=True)
     }
+    # the smallest number whose interval is narrow enough, by Student's t
+    wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
+    n = np.arange(2, _MOST_SPECIMENS)
+    enough = student_t.ppf(0.5 + 0.5 * level, n - 1) / np.sqrt(n) * math.hypot(total, own) <= wanted
+    entry["specimens_for_10_percent"] = int(n[enough.argmax()]) if enough.any() else None
     return entry
 
 

@@ -183,7 +183,10 @@ def scatter_lines(entry: Entry, level: float) -> list[str]:
     for name, symbol in (("repeatability", "r"), ("reproducibility", "R")):
         if name in entry:
             following += f"; {name} {symbol} = {times * entry[name][symbol]:.2g}{of_size}"
-    return ["; ".join(sizes), following]
+    lines = ["; ".join(sizes), following]
+    if (needed := entry["specimens_for_10_percent"]) is not None:
+        lines.append(f"an interval of +-10 % for the material needs about {needed} specimens")
+    return lines
 
 
 def process_lines(outcome: Entry) -> list[str]:

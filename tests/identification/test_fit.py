@@ -218,6 +218,7 @@ def test_the_material_and_its_specimens(specimens):
     assert k["repeatability"]["s_r"] == pytest.approx(size["estimate"], rel=1e-3)
     assert k["repeatability"]["r"] == pytest.approx(2.8 * k["repeatability"]["s_r"])
     assert k["mean"] > k["estimate"]
+    assert k["specimens_for_10_percent"] > 3
     assert process["size"]["known"] == pytest.approx(SHARE**2 * process["depth"])
     assert outcome["p_value"] > 1e-3
     words = specimens.summary()
