@@ -24,8 +24,8 @@ _BEYOND = 1.25
 _CLOSE, _LEVERAGE = 1e-3, 0.9
 #: points at a time, and share of them that must count for another density
 _POINTS, _COUNT = 4096, 0.2
-#: times that draws of a density tell where its points are to be, and how many times as many then
-_TIMES, _MORE = 2, 4
+#: times that draws of a density tell where its points are to be, and points for each draw wanted
+_TIMES, _EACH = 2, 4
 #: most points, and most draws that are kept
 _MOST, _KEPT = 2**17, 20_000
 #: probability beyond each end of an interval; error of an end, in sd, of one draw of a normal one
@@ -162,10 +162,11 @@ def draw(
     want : effective number.
     """
     cast, reached, times = [draws, *density(draws), old], 0.0, 0
+    enough = max(1, round(_EACH * want / _POINTS))
     while times < _TIMES:
         reached, weights = _raised(cast, reached, power)
         nearby = Nearby(cast[0][_chosen(weights, len(weights), random)], bent)
-        cast = _cast(density, nearby, _MORE if reached == power else 1, random)
+        cast = _cast(density, nearby, enough if reached == power else 1, random)
         times += reached == power
     while True:
         _, weights = _raised(cast, power, power)

@@ -44,6 +44,8 @@ _SOME = 1000.0
 _ASTRAY = 3.0
 #: share of the draws without a history that is small enough; draws of which none may be no case
 _LOST, _CHECKED = 0.03, 4000
+#: difference of theta, in sd of the draws, by which slopes of log p are found
+_MOVED = 1e-4
 #: largest error of log p by the power, in rms; share of the draws that must count for it
 _TRUST, _COUNT = 0.3, 0.0625
 
@@ -292,9 +294,11 @@ def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatA
     best, scale = theta[np.argmax(density)].copy(), theta.std(axis=0)
     best[sizes], scale[sizes] = np.median(theta[:, sizes], axis=0), 0.0
 
-    def minus_log_p(t: FloatArray) -> float:
-        return -float(max(posterior(best[None] + scale * t)[0], -1e10))
+    def minus_log_p(t: FloatArray) -> tuple[float, FloatArray]:
+        moved = t + _MOVED * np.eye(len(t) + 1, len(t), -1)
+        values = -np.maximum(posterior(best + scale * moved), -1e10)
+        return values[0], (values[1:] - values[0]) / _MOVED
 
     start = np.zeros(len(best))
-    found = minimize(minus_log_p, start, method="L-BFGS-B", options={"eps": 1e-4})
-    return best + scale * found.x if found.fun < minus_log_p(start) else best
+    found = minimize(minus_log_p, start, jac=True, method="L-BFGS-B")
+    return best + scale * found.x if found.fun < minus_log_p(start)[0] else best
