@@ -13,17 +13,20 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
 
-#: degrees of the polynomials of densities of which points come, as many of each: one that is bent
-#: much may be wrong where there are hardly any draws
-_DEGREES = (2, 4)
+#: densities of which points come, as many of each: degree of their polynomials, which may be wrong
+#: where it is high and there are hardly any draws; and whether these are of the draws' ranks, by
+#: which a ridge along two axes is smooth
+_KINDS = ((2, False), (4, False), (4, True))
+#: ranks of draws, from the least to the largest
+_RANKS = np.linspace(-1.0, 1.0, 65)
 #: degrees of freedom and scale over the rms of draws, of entries that may be bent and of others
 _FREEDOM, _SCALE = (3.0, 6.0), (1.5, 0.9)
 #: how far polynomials go on beyond the range of draws, over half of it
 _BEYOND = 1.25
 #: least distance of a draw from where it is expected, over the rms one; largest leverage
 _CLOSE, _LEVERAGE = 1e-3, 0.9
-#: points at a time, and share of them that must count for another density
-_POINTS, _COUNT = 4096, 0.2
+#: points at a time, of all kinds, and share of them that must count for another density
+_POINTS, _COUNT = 4098, 0.2
 #: times that draws of a density tell where its points are to be, and points for each draw wanted
 _TIMES, _EACH = 2, 4
 #: most points, and most draws that are kept
@@ -60,11 +63,13 @@ class _Nearby:
     ----------
     bent : number of first entries, of which polynomials have powers and products; in the others,
         which may be many, they are linear.
+    degree, ranked : of polynomials, and whether they are of ranks of draws.
     """
 
-    def __init__(self, draws: FloatArray, bent: int, degree: int) -> None:
+    def __init__(self, draws: FloatArray, bent: int, degree: int, ranked: bool) -> None:
         rows, counts = np.unique(draws, axis=0, return_counts=True)
         self._low, self._high = rows.min(axis=0), rows.max(axis=0)
+        self._ranks = np.quantile(rows, 0.5 + 0.5 * _RANKS, axis=0).T if ranked else None
         self._bent, self._degree = bent, degree
         others = (np.arange(rows.shape[1]) >= bent).astype(int)
         self._freedom = np.array(_FREEDOM)[others]
@@ -93,6 +98,8 @@ class _Nearby:
         for j, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
             yield terms, terms[:, degrees <= 1]
             t = np.clip((2.0 * points[:, [j]] - low - high) / (high - low), -_BEYOND, _BEYOND)
+            if self._ranks is not None:
+                t = np.interp(points[:, [j]], self._ranks[j], _RANKS)
             own = 1 if j < self._bent else most  # an entry alone has the highest degree
             powers = np.arange(1, 1 + most // own)
             fits = [degrees + own * power <= most for power in powers]
@@ -124,7 +131,7 @@ class _Nearby:
 
 
 class Nearby:
-    """Densities like that of draws (s, d), of several degrees, as many points of each.
+    """Densities like that of draws (s, d), of several kinds, as many points of each.
 
     Parameters
     ----------
@@ -132,14 +139,14 @@ class Nearby:
     """
 
     def __init__(self, draws: FloatArray, bent: int) -> None:
-        self._each = [_Nearby(draws, bent, degree) for degree in _DEGREES]
+        self._each = [_Nearby(draws, bent, *kind) for kind in _KINDS]
 
     def points(self, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return some points (s, d), and the logarithm of the density there."""
-        count = _POINTS // len(_DEGREES)
+        count = _POINTS // len(_KINDS)
         points = np.concatenate([one.points(count, random) for one in self._each])
         logs = logsumexp([one(points) for one in self._each], axis=0)
-        return points, logs - np.log(len(_DEGREES))
+        return points, logs - np.log(len(_KINDS))
 
 
 def draw(
