@@ -38,6 +38,8 @@ _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough; that of steps, which moves no key by
 #: more than 0.2 sd; share of draws at faces of boxes
 _RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 3e-4
+#: ends of intervals, which move by less than that, in sd, as emulators are made anew
+_ENDS, _SETTLED = (0.025, 0.975), 0.15
 #: effective number of draws that lead to others
 _SOME = 1000.0
 #: sd of the error of log p above which draws say nothing
@@ -187,7 +189,8 @@ class _Search:
             for i, f in enumerate(self._posterior.likelihoods)
         )
         lost = np.isnan(off.sum(axis=0)).mean()
-        if self._error >= _RIGHT or at_faces >= _AT_FACES or lost >= _LOST:
+        settled = at_faces < _AT_FACES and self._moved < _SETTLED
+        if self._error >= _RIGHT or not settled or lost >= _LOST:
             return False
         finer = self._read(finer=2)
         self._step_error = float(np.nanstd((self._log_p(finer) - true).sum(axis=0)))
@@ -230,6 +233,9 @@ class _Search:
         posterior, (draws, logs, *_) = self._posterior, self._drawn
         bent = len(posterior.shared) + len(posterior.sizes)
         self._drawn = draw(posterior.parts, draws, logs, self.power, bent, self._random, want)
+        before, now = (np.quantile(d, _ENDS, axis=0) for d in (draws, self._drawn.draws))
+        #: by how much ends of intervals moved, in sd
+        self._moved = float((np.abs(now - before) / self._drawn.draws.std(axis=0)).max())
 
     def solution(self) -> Solution:
         """Return the draws, or ComputationError where emulators cannot follow histories."""
