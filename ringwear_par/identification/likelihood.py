@@ -182,7 +182,7 @@ class EmulatedLikelihood:
         z = emulator.coordinates(emulator.box.design(_JUDGED))
         by_node = self._by_node(z, np.tile(likelihood.shares, (len(z), 1)))
         for part, logs in enumerate(by_node):
-            counts = np.flatnonzero((logs.T - logs.max(axis=1)).max(axis=1) > -_COUNTS)
+            counts = np.flatnonzero((logs - logs.max(axis=0)).max(axis=1) > -_COUNTS)
             kept = slice(max(counts[0] - 1, 0), counts[-1] + 2)
             self._forms[part] = self._forms[part][..., kept]
 
@@ -195,18 +195,24 @@ class EmulatedLikelihood:
         return np.vstack([noise.log_constants, (grams[:, i, j] * (1.0 + (i != j))).T])
 
     def _by_node(self, coordinates: FloatArray, shares: FloatArray) -> list[FloatArray]:
-        """Return log p (s, K) of each part at its growth times, see ``__call__``."""
-        (low, high), terms = LOG_SHARES, np.ones((len(coordinates), 1))
+        """Return log p (K, s) of each part at its growth times, see ``__call__``."""
+        (low, high), terms = LOG_SHARES, np.ones((1, len(coordinates)))
         for column in np.log(shares[:, self._fitted]).T:
-            more = chebvander(2.0 * (column - low) / (high - low) - 1.0, self._count - 1)
-            terms = (terms[:, :, None] * more[:, None]).reshape(len(terms), -1)
-        v = np.insert(coordinates, 0, 1.0, axis=1)
-        i, j = np.triu_indices(v.shape[1])
-        products, every = v[:, i] * v[:, j], []
+            more = chebvander(2.0 * (column - low) / (high - low) - 1.0, self._count - 1).T
+            terms = (terms[:, None] * more).reshape(-1, len(column))
+        v = np.insert(coordinates.T, 0, 1.0, axis=0)
+        i, j = np.triu_indices(len(v))
+        products, every = None, []
         for noise, form in zip(self.likelihood.noises, self._forms, strict=True):
-            squares = np.tensordot(products, form[:, 1:], (1, 1))  # (s, c, K)
-            squares = np.einsum("sck,sc->sk", squares, terms)
-            every.append(terms @ form[:, 0] + noise.density(squares))
+            if form[:, 0].size == 1:  # without products, which many modes have many of
+                triangle = np.zeros((len(v), len(v)))
+                triangle[i, j] = form[0, 1:, 0]
+                squares = np.einsum("is,is->s", triangle @ v, v)[None]
+            else:
+                products = v[i] * v[j] if products is None else products
+                squares = np.tensordot(form[:, 1:], products, (1, 0))  # (c, K, s)
+                squares = np.einsum("cks,cs->ks", squares, terms)
+            every.append(form[:, 0].T @ terms + noise.density(squares))
         return every
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:
@@ -214,7 +220,7 @@ class EmulatedLikelihood:
         emulator, at = self.emulator, self.likelihood.limits
         total = np.zeros(len(coordinates))
         for logs in self._by_node(coordinates, shares):
-            total += logsumexp(logs, axis=1) if logs.shape[1] > 1 else logs[:, 0]
+            total += logsumexp(logs, axis=0) if len(logs) > 1 else logs[0]
         if len(at):
             readings = emulator.mean[at] + coordinates @ emulator.modes[:, at]
             total += self.likelihood.of_limits(readings)

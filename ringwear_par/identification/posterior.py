@@ -48,16 +48,16 @@ class Size:
     limits: tuple[float, float] = (-np.inf, np.inf)
 
     def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return the size (...)."""
+        """Return the size (...), within its limits."""
         if self.place is None:
             return np.full(theta.shape[:-1], self.known)
-        size: FloatArray = np.exp(theta[..., self.place])
+        size: FloatArray = np.exp(np.clip(theta[..., self.place], *self.limits))
         return size
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
         """Return the log density (...) of its logarithm."""
         log = theta[..., self.place]
-        square, volume = np.exp(2.0 * log) / self.scale**2, log - np.log(self.scale)
+        square, volume = (self(theta) / self.scale) ** 2, log - np.log(self.scale)
         logs = _HALF_T + volume - 0.5 * (_DEGREES + 1.0) * np.log1p(square / _DEGREES)
         return np.where((log > self.limits[0]) & (log < self.limits[1]), logs, -np.inf)
 
@@ -146,7 +146,7 @@ class Posterior:
         self.shared = [j for j, p in enumerate(parameters) if p.scatter is None]
         #: number of entries of theta
         self.dimension = len(self.shared)
-        #: sizes that are fitted
+        #: sizes that are fitted, in theta behind these
         self.sizes: list[Size] = []
         levels = {j: self._levels(p.scatter) for j, p in enumerate(parameters) if p.scatter}
         #: shares of random wear, of the bodies that have it
@@ -261,13 +261,17 @@ class Posterior:
                 total += self.likelihoods[test](coordinates[:, place], shares)
         return total
 
-    def __call__(self, theta: FloatArray, power: float = 1.0) -> FloatArray:
-        """Return log p (s,) of theta (s, d), the likelihood to a power; -inf out of the boxes."""
-        logs, x = self.log_prior(theta), self.of_tests(theta)
+    def parts(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log prior and log likelihood (s,) of theta (s, d); -inf and 0 out of boxes."""
+        prior, x = self.log_prior(theta), self.of_tests(theta)
         for tests in self._alike.values():
             inside = self.likelihoods[tests[0]].emulator.holds(x[:, tests]).all(axis=1)
-            logs[~inside] = -np.inf
-        inside = np.isfinite(logs)
-        if power and inside.any():
-            logs[inside] += power * self.of_readings(theta[inside])
-        return logs
+            prior[~inside] = -np.inf
+        inside, likelihood = np.isfinite(prior), np.zeros(len(theta))
+        likelihood[inside] = self.of_readings(theta[inside])
+        return prior, likelihood
+
+    def __call__(self, theta: FloatArray) -> FloatArray:
+        """Return log p (s,) of theta (s, d); -inf out of the boxes."""
+        prior, likelihood = self.parts(theta)
+        return prior + likelihood

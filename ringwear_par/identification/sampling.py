@@ -1,155 +1,251 @@
-"""Draws of a density by emcee, from draws of a nearby one; the integral of a density."""
+"""Draws of a density by importance sampling, from draws of a nearby one; its integral.
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+Points come from a density like that of the draws so far, and count by how much larger the wanted
+density is there. So do those far out in long tails, where walks of a sampler come rarely.
+"""
 
-import emcee
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
 import numpy as np
-from scipy.stats import multivariate_t
+from scipy.special import gammaln, logsumexp
+from scipy.stats import norm
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 
-#: walkers, for each dimension and most: many are in all parts of a density, where they hardly move
-_A_DIMENSION, _WALKERS = 128, 1024
-#: steps between two looks; between two states that are kept; most of all
-_STEPS, _THIN, _MOST_STEPS = 50, 5, 6000
-#: steps of a density that only leads to the next one
-_LEADING = 40
-#: share of the draws that must count for a density that is drawn from them
-_COUNT = 0.25
-#: most draws that are kept
-_KEPT = 20_000
-#: draws for an integral
-_EVIDENCE_DRAWS = 8192
+#: densities of which points come, as many of each: degree of their polynomials, which may be wrong
+#: where it is high and there are hardly any draws; and whether these are of the draws' ranks, by
+#: which a ridge along two axes is smooth
+_KINDS = ((2, False), (4, False), (4, True))
+#: ranks of draws, from the least to the largest
+_RANKS = np.linspace(-1.0, 1.0, 65)
+#: degrees of freedom and scale over the rms of draws, of entries that may be bent and of others
+_FREEDOM, _SCALE = (3.0, 6.0), (1.5, 0.9)
+#: how far polynomials go on beyond the range of draws, over half of it
+_BEYOND = 1.25
+#: least distance of a draw from where it is expected, over the rms one; largest leverage
+_CLOSE, _LEVERAGE = 1e-3, 0.9
+#: points at a time, of all kinds, and share of them that must count for another density
+_POINTS, _COUNT = 4098, 0.2
+#: times that draws of a density tell where its points are to be, and points for each draw wanted
+_TIMES, _EACH = 2, 4
+#: most points, and most draws that are kept
+_MOST, _KEPT = 2**17, 20_000
+#: probability beyond each end of an interval; error of an end, in sd, of one draw of a normal one
+_TAIL = 0.025
+_NORMAL_END = float(np.sqrt(_TAIL * (1.0 - _TAIL)) / norm.pdf(norm.ppf(_TAIL)))
+
+#: log prior and log likelihood (s,) at points (s, d); where either is -inf they do not count
+Density = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
-def _nearby(draws: FloatArray, seed: int) -> Any:
-    """Return a t distribution, a little wider than draws (s, d)."""
-    covariance = 1.4 * np.cov(draws.T).reshape(draws.shape[1], -1)
-    return multivariate_t(draws.mean(axis=0), covariance, df=6, allow_singular=True, seed=seed)
+class Drawn(NamedTuple):
+    """Draws of a density, and its integral."""
+
+    #: (s, d), in no order
+    draws: FloatArray
+    #: (s,) log p
+    logs: FloatArray
+    #: how many independent draws the ends of their intervals are worth
+    effective: float
+    #: logarithm of the integral of the density, and its error
+    log_integral: float
+    error: float
 
 
-class _Differences(emcee.moves.RedBlueMove):  # type: ignore[misc]
-    """Moves by differences of other walkers, of changing length (ter Braak 2006)."""
+class _Nearby:
+    """A density like that of draws (s, d), from which points are easily had.
 
-    def get_proposal(
-        self, s: FloatArray, c: list[FloatArray], random: np.random.RandomState
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return where walkers (w, d) are to go, with the logs of factors (w,)."""
-        others, (count, d) = np.concatenate(c), s.shape
-        a, b = others[random.randint(len(others), size=(2, count))]
-        length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.3 * random.standard_normal((count, 1)))
-        return s + length * (a - b), np.zeros(count)
+    Each entry has a t distribution given those before it. Its mean is a polynomial of these, and
+    the logarithm of its scale is linear in them: ridges may be bent, and funnels become narrow.
+
+    Parameters
+    ----------
+    bent : number of first entries, of which polynomials have powers and products; in the others,
+        which may be many, they are linear.
+    degree, ranked : of polynomials, and whether they are of ranks of draws.
+    """
+
+    def __init__(self, draws: FloatArray, bent: int, degree: int, ranked: bool) -> None:
+        rows, counts = np.unique(draws, axis=0, return_counts=True)
+        self._low, self._high = rows.min(axis=0), rows.max(axis=0)
+        self._ranks = np.quantile(rows, 0.5 + 0.5 * _RANKS, axis=0).T if ranked else None
+        self._bent, self._degree = bent, degree
+        others = (np.arange(rows.shape[1]) >= bent).astype(int)
+        self._freedom = np.array(_FREEDOM)[others]
+        #: coefficients of the mean of each entry, and of the logarithm of its scale
+        self._entries: list[tuple[FloatArray, FloatArray]] = []
+        roots = np.sqrt(counts)
+        for x, (terms, lines), other in zip(rows.T, self._terms(rows), others, strict=True):
+            q, r = np.linalg.qr(terms * roots[:, None])
+            along = q.T @ (x * roots)
+            # from where the others expect each draw
+            left_out = 1.0 - np.minimum(np.square(q).sum(axis=1), _LEVERAGE)
+            rest = (x - q @ along / roots) / left_out
+            rms = np.sqrt(np.average(rest**2, weights=counts))
+            logs = np.log(np.abs(rest) + _CLOSE * rms)
+            scale = np.linalg.lstsq(lines * roots[:, None], logs * roots, rcond=None)[0]
+            squares = np.square(rest / np.exp(lines @ scale))
+            scale[0] += np.log(_SCALE[other] * np.sqrt(np.average(squares, weights=counts)))
+            self._entries.append((np.linalg.lstsq(r, along, rcond=1e-10)[0], scale))
+
+    def _terms(self, points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield terms (s, p) of the mean of each entry, and of its scale, by those before it.
+
+        A column of points is not looked at before its own terms have been used.
+        """
+        most, terms, degrees = self._degree, np.ones((len(points), 1)), np.zeros(1, dtype=int)
+        for j, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
+            yield terms, terms[:, degrees <= 1]
+            t = np.clip((2.0 * points[:, [j]] - low - high) / (high - low), -_BEYOND, _BEYOND)
+            if self._ranks is not None:
+                t = np.interp(points[:, [j]], self._ranks[j], _RANKS)
+            own = 1 if j < self._bent else most  # an entry alone has the highest degree
+            powers = np.arange(1, 1 + most // own)
+            fits = [degrees + own * power <= most for power in powers]
+            pairs = [*zip(powers, fits, strict=True)]
+            terms = np.hstack([terms, *(terms[:, some] * t**power for power, some in pairs)])
+            degrees = np.concatenate([degrees, *(degrees[s] + own * power for power, s in pairs)])
+
+    def points(self, count: int, random: np.random.Generator) -> FloatArray:
+        """Return points (count, d) of the density."""
+        points = random.standard_t(self._freedom, (count, len(self._entries)))
+        for x, (mean, scale), (terms, lines) in self._by_entry(points):
+            x[:] = terms @ mean + np.exp(lines @ scale) * x
+        return points
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Return the logarithm (s,) of the density at points (s, d)."""
+        nu, half = self._freedom, 0.5 * (self._freedom + 1.0)
+        constants = gammaln(half) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
+        logs = np.full(len(points), constants.sum())
+        for j, (x, (mean, scale), (terms, lines)) in enumerate(self._by_entry(points)):
+            log_scale = lines @ scale
+            z = (x - terms @ mean) / np.exp(log_scale)
+            logs -= log_scale + half[j] * np.log1p(z**2 / nu[j])
+        return logs
+
+    def _by_entry(self, points: FloatArray) -> Iterator[Any]:
+        """Yield the column of each entry, its coefficients and its terms."""
+        return zip(points.T, self._entries, self._terms(points), strict=True)
+
+
+class Nearby:
+    """Densities like that of draws (s, d), of several kinds, as many points of each.
+
+    Parameters
+    ----------
+    bent : see ``_Nearby``.
+    """
+
+    def __init__(self, draws: FloatArray, bent: int) -> None:
+        self._each = [_Nearby(draws, bent, *kind) for kind in _KINDS]
+
+    def points(self, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return some points (s, d), and the logarithm of the density there."""
+        count = _POINTS // len(_KINDS)
+        points = np.concatenate([one.points(count, random) for one in self._each])
+        logs = logsumexp([one(points) for one in self._each], axis=0)
+        return points, logs - np.log(len(_KINDS))
 
 
 def draw(
-    log_p: Callable[..., FloatArray],
+    density: Density,
     draws: FloatArray,
     old: FloatArray,
-    most: float,
-    random: np.random.Generator,
-    want: float = 0.0,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return draws (s, d) with the likelihood to a power, their log p, and their effective number.
-
-    They come from draws of another density in steps, after each of which a quarter still counts.
-
-    Parameters
-    ----------
-    log_p : of theta (s, d) and a power of the likelihood.
-    old : (s,) log density of the draws where they come from.
-    want : effective number that is wanted at the end; 0: they only lead to others.
-    """
-    power, effective = 0.0, 0.0
-    while power < most:
-        prior, full = log_p(draws, 0.0), log_p(draws, 1.0)
-        good, counting = np.isfinite(full), -1.0
-        for trial in power + (most - power) * 0.8 ** np.arange(100):
-            logs = np.full(len(draws), -np.inf)
-            logs[good] = (1.0 - trial) * prior[good] + trial * full[good] - old[good]
-            w = np.exp(logs - logs.max())
-            if (count := float(w.sum() ** 2 / (w @ w))) > counting:
-                counting, power_of_most, weights = count, float(trial), w
-            if count > _COUNT * len(draws):
-                break
-        power = power_of_most
-        # each as often as its weight says, to one
-        walkers = min(_A_DIMENSION * draws.shape[1], _WALKERS)
-        places = (random.random() + np.arange(walkers)) / walkers
-        chosen = np.searchsorted(np.cumsum(weights / weights.sum()), places)
-        start = draws[np.minimum(chosen, len(draws) - 1)]
-        at_power = partial(log_p, power=power)
-        draws, old, effective = sample(at_power, start, random, want * (power >= most))
-    return draws, old, effective
-
-
-def sample(
-    log_p: Callable[[FloatArray], FloatArray],
-    start: FloatArray,
+    power: float,
+    bent: int,
     random: np.random.Generator,
     want: float,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return draws (s, d) of a density, their log p, and how many independent ones they are worth.
+) -> Drawn:
+    """Return draws of a density, its likelihood to a power.
 
-    By independent moves to anywhere about the start, differential evolution (ter Braak 2006) and
-    stretch moves (Goodman and Weare 2010). Walkers are side by side, one state after another.
+    They come from draws of another density in steps, after each of which a part still counts.
 
     Parameters
     ----------
-    start : (walkers, d) draws of about this density.
-    want : effective number; 0: a few steps are enough.
+    draws, old : (s, d) of the other density, and its logarithm (s,) there.
+    bent : see ``_Nearby``.
+    want : effective number.
     """
-    (walkers, d), seed = start.shape, int(random.integers(2**31))
-    nearby = _nearby(start, seed + 1)
-
-    def anywhere(x: FloatArray, _: np.random.RandomState) -> tuple[FloatArray, FloatArray]:
-        new = nearby.rvs(len(x)).reshape(x.shape)
-        return new, nearby.logpdf(x) - nearby.logpdf(new)
-
-    moves = [
-        (emcee.moves.MHMove(anywhere), 0.4), (_Differences(), 0.45),
-        (emcee.moves.StretchMove(), 0.15),
-    ]  # fmt: skip
-    sampler = emcee.EnsembleSampler(walkers, d, log_p, moves=moves, vectorize=True)
-    sampler.random_state = np.random.RandomState(seed).get_state()
-    state = emcee.State(start)
-    steps = _STEPS if want else _LEADING
+    cast, reached, times = [draws, *density(draws), old], 0.0, 0
+    enough = max(1, round(_EACH * want / _POINTS))
+    while times < _TIMES:
+        reached, weights = _raised(cast, reached, power)
+        nearby = Nearby(cast[0][_chosen(weights, len(weights), random)], bent)
+        cast = _cast(density, nearby, enough if reached == power else 1, random)
+        times += reached == power
     while True:
-        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
-        chain = sampler.get_chain()[_THIN - 1 :: _THIN]
-        time = correlation_time(chain)
-        first = min(int(2.0 * time), len(chain) // 2)
-        effective = (len(chain) - first) * walkers / max(time, 1.0)
-        if effective > want or not want or sampler.iteration >= _MOST_STEPS:
+        _, weights = _raised(cast, power, power)
+        effective, worst = worth(cast[0], weights)
+        if effective >= want or len(weights) >= _MOST:
             break
-    logs = sampler.get_log_prob()[_THIN - 1 :: _THIN]
-    every = max(1, int(time / 4.0), (len(chain) - first) * walkers // _KEPT)
-    draws = chain[first::every].reshape(-1, d)
-    return draws, logs[first::every].reshape(-1), effective
+        again = _cast(density, nearby, len(weights) // _POINTS, random)
+        cast = [np.concatenate(pair) for pair in zip(cast, again, strict=True)]
+    draws, prior, likelihood, old = cast
+    logs = prior + power * likelihood
+    integral = float(logsumexp(logs - old) - np.log(len(logs)))
+    error = float(weights.std() / weights.mean() / np.sqrt(len(weights)))
+    # in the order of the entry whose ends are known worst, so that they stay where they are
+    order = np.argsort(draws[:, worst])
+    rows = random.permutation(order[_chosen(weights[order], min(len(draws), _KEPT), random)])
+    return Drawn(draws[rows], logs[rows], effective, integral, error)
 
 
-def correlation_time(chain: FloatArray) -> float:
-    """Return after how many states the walkers of a chain (states, walkers, d) forget theirs.
+def _cast(
+    density: Density, nearby: Nearby, times: int, random: np.random.Generator
+) -> list[FloatArray]:
+    """Return points (s, d), log prior and log likelihood there, and the log of their density."""
+    parts = []
+    for _ in range(times):
+        points, logs = nearby.points(random)
+        parts.append((points, *density(points), logs))
+    return [np.concatenate(part) for part in zip(*parts, strict=True)]
 
-    The largest integrated autocorrelation time of all d (Sokal's window, as emcee has it).
+
+def _raised(cast: list[FloatArray], power: float, most: float) -> tuple[float, FloatArray]:
+    """Return a larger power of the likelihood for which enough points count, and weights (s,).
+
+    Parameters
+    ----------
+    cast : see ``_cast``.
+    most : largest power.
     """
-    n = len(chain)
-    f = np.fft.rfft(chain - chain.mean(axis=(0, 1)), 2 * n, axis=0)
-    by_lag = np.fft.irfft(np.square(np.abs(f)), axis=0)[:n].mean(axis=1)
-    times = 2.0 * np.cumsum(by_lag / np.maximum(by_lag[0], 1e-300), axis=0) - 1.0
-    beyond = np.arange(n)[:, None] > 5.0 * times
-    window = np.where(beyond.any(axis=0), beyond.argmax(axis=0), n - 1)
-    return float(times[window, np.arange(chain.shape[2])].max())
+    _, prior, likelihood, old = cast
+    counting, trials = -1.0, most * 0.8 ** np.arange(100)
+    for trial in trials[(trials > power) | (trials == most)]:
+        logs = prior + trial * likelihood - old
+        w = np.exp(logs - logs.max())
+        if (count := float(w.sum() ** 2 / (w @ w))) > counting:
+            counting, reached, weights = count, float(trial), w
+        if count > _COUNT * len(w):
+            break
+    return reached, weights
 
 
-def log_evidence(
-    log_p: Callable[[FloatArray], FloatArray], draws: FloatArray
-) -> tuple[float, float]:
-    """Return the log of the integral of a density and its error, from another about its draws."""
-    density = _nearby(draws, 0)
-    points = density.rvs(_EVIDENCE_DRAWS).reshape(-1, draws.shape[1])
-    logs = log_p(points) - density.logpdf(points)
-    weights = np.exp(logs - logs.max())
-    error = weights.std() / weights.mean() / np.sqrt(len(weights))
-    return float(logs.max() + np.log(weights.mean())), float(error)
+def _chosen(weights: FloatArray, count: int, random: np.random.Generator) -> IntArray:
+    """Return rows (count,), each as often as its weight says, to one."""
+    places = np.cumsum(weights / weights.sum())
+    rows = np.searchsorted(places, (random.random() + np.arange(count)) / count)
+    return np.minimum(rows, len(weights) - 1)
+
+
+def worth(points: FloatArray, weights: FloatArray) -> tuple[float, int]:
+    """Return how many draws of a normal distribution tell the ends of intervals as exactly.
+
+    As points (s, d) with weights (s,) tell those of the entry whose ends are known worst over its
+    sd, and this entry. Where a tail is long, a few draws more or less beyond an end move it far.
+    """
+    w, errors = weights / weights.sum(), []
+    for x in points.T:
+        order = np.argsort(x)
+        x, ordered = x[order], w[order]
+        below = np.cumsum(ordered)
+        mean = ordered @ x
+        sd = np.sqrt(ordered @ (x - mean) ** 2)
+        for tail in (_TAIL, 1.0 - _TAIL):
+            chance = np.sqrt(np.square(ordered) @ np.square((below < tail) - tail))
+            near, far = np.interp([tail - 0.5 * _TAIL, tail + 0.5 * _TAIL], below, x)
+            errors.append(chance * (far - near) / _TAIL / sd)
+    worst = int(np.argmax(errors))
+    return float(_NORMAL_END / errors[worst]) ** 2, worst // 2

@@ -21,12 +21,12 @@ from ringwear_par.identification.histories import Readings, cases_at
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.posterior import Posterior
-from ringwear_par.identification.sampling import draw, log_evidence
+from ringwear_par.identification.sampling import Drawn, draw
 from ringwear_par.identification.setting import needs_middle, random_wear, settings_at
 
-#: draws at first; draws that have true histories, a round; points that fill the box of an emulator,
-#: for each key
-_FIRST, _TRIED, _FILLING = 2048, 48, 24
+#: draws at first; draws that have true histories, a round, and how many of them count most; points
+#: that fill the box of an emulator, for each key
+_FIRST, _TRIED, _HEAVY, _FILLING = 2048, 48, 12, 24
 #: margin of a box, as a share of its edges
 _MARGIN = 0.15
 #: factor by which the power may grow in a round, and power that the first round may reach
@@ -37,13 +37,17 @@ _GOOD = 0.005
 _MOST_ROUNDS, _MOST_WHOLE = 20, 6
 #: sd of the error of log p, among draws, that is good enough; that of steps, which moves no key by
 #: more than 0.2 sd; share of draws at faces of boxes
-_RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 2e-3
+_RIGHT, _MOST_SHIFT, _AT_FACES = 0.1, 0.15, 3e-4
+#: ends of intervals, which move by less than that, in sd, as emulators are made anew
+_ENDS, _SETTLED = (0.025, 0.975), 0.15
+#: effective number of draws that lead to others
+_SOME = 1000.0
 #: sd of the error of log p above which draws say nothing
 _ASTRAY = 3.0
 #: share of the draws without a history that is small enough; draws of which none may be no case
 _LOST, _CHECKED = 0.03, 4000
-#: effective number of draws while emulators are checked
-_SOME = 1000.0
+#: difference of theta, in sd of the draws, by which slopes of log p are found
+_MOVED = 1e-4
 #: largest error of log p by the power, in rms; share of the draws that must count for it
 _TRUST, _COUNT = 0.3, 0.0625
 
@@ -97,9 +101,7 @@ def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution
             if whole > 1 and (search.is_right() or whole == _MOST_WHOLE):
                 break
         search.emulate()
-        search.draw(_SOME * (search.power == 1.0))
-    readings.tell("draws of the posterior")
-    search.draw(wanted)
+        search.draw(wanted if search.power == 1.0 else _SOME)
     return search.solution()
 
 
@@ -111,9 +113,8 @@ class _Search:
         problem, prior = readings.problem, Posterior(readings.problem)
         loss, tests = problem.settings.loss, problem.experiments
         self._settings = [Setting.before(test, loss) for test in tests]
-        self.power, self.effective = 0.0, 0.0
-        self._draws = prior.anywhere(_FIRST, self._random)
-        self._density = prior.log_prior(self._draws)
+        self.power, draws = 0.0, prior.anywhere(_FIRST, self._random)
+        self._drawn = Drawn(draws, prior.log_prior(draws), 0.0, 0.0, 0.0)
         #: tests with an emulator of their own, by number, and those that are like each
         self._members: dict[int, list[int]] = {}
         for i, owner in enumerate(readings.same_as):
@@ -142,18 +143,20 @@ class _Search:
         """
         readings, before = self.readings, self.readings.problem
         posterior = Posterior(before)
-        x = posterior.of_tests(self._draws)
+        x = posterior.of_tests(self._drawn.draws)
         if adapt and needs_middle(before):
             middle = np.median(x, axis=0)
-            shares = np.median(posterior.shares(self._draws), axis=0)
+            shares = np.median(posterior.shares(self._drawn.draws), axis=0)
             self._settings = settings_at(readings, self._settings, middle, shares)
             if readings.problem.experiments is not before.experiments:  # friction changed
                 self._known = {}
         problem = readings.problem
-        shares = np.median(Posterior(problem).shares(self._draws), axis=0)
+        shares = np.median(Posterior(problem).shares(self._drawn.draws), axis=0)
         pairs = zip(problem.experiments, self._settings, strict=True)
         self._likelihoods = [TestLikelihood(test, setting, shares) for test, setting in pairs]
-        some = self._random.permutation(np.unique(self._draws, axis=0))[:_TRIED]
+        rows, counts = np.unique(self._drawn.draws, axis=0, return_counts=True)
+        most = np.argsort(-counts)[:_HEAVY]  # perhaps by an error of emulators
+        some = np.concatenate([rows[most], self._random.permutation(rows)[: _TRIED - _HEAVY]])
         #: (P, tests, m) draws that have histories, and readings (P, n) of all tests there
         self._tried, m = posterior.of_tests(some), len(problem.parameters)
         self._boxes = {
@@ -180,13 +183,14 @@ class _Search:
         off = true - [f.likelihood(f.emulator(self._tried[:, i])) for i, f in emulated]
         self._error = float(np.nanstd(off.sum(axis=0)))
         self._worst = int(np.argmax(np.nanstd(off, axis=1)))
-        x = self._posterior.of_tests(self._draws)
+        x = self._posterior.of_tests(self._drawn.draws)
         at_faces = max(
             (np.abs(f.emulator.box.inside(x[:, i])) > 0.97).any(axis=1).mean()
             for i, f in enumerate(self._posterior.likelihoods)
         )
         lost = np.isnan(off.sum(axis=0)).mean()
-        if self._error >= _RIGHT or at_faces >= _AT_FACES or lost >= _LOST:
+        settled = at_faces < _AT_FACES and self._moved < _SETTLED
+        if self._error >= _RIGHT or not settled or lost >= _LOST:
             return False
         finer = self._read(finer=2)
         self._step_error = float(np.nanstd((self._log_p(finer) - true).sum(axis=0)))
@@ -226,9 +230,12 @@ class _Search:
 
     def draw(self, want: float) -> None:
         """Draw anew, with the likelihood to the power; ``want`` so many effective draws."""
-        self._draws, self._density, self.effective = draw(
-            self._posterior, self._draws, self._density, self.power, self._random, want
-        )
+        posterior, (draws, logs, *_) = self._posterior, self._drawn
+        bent = len(posterior.shared) + len(posterior.sizes)
+        self._drawn = draw(posterior.parts, draws, logs, self.power, bent, self._random, want)
+        before, now = (np.quantile(d, _ENDS, axis=0) for d in (draws, self._drawn.draws))
+        #: by how much ends of intervals moved, in sd
+        self._moved = float((np.abs(now - before) / self._drawn.draws.std(axis=0)).max())
 
     def solution(self) -> Solution:
         """Return the draws, or ComputationError where emulators cannot follow histories."""
@@ -241,24 +248,24 @@ class _Search:
             )
         if readings.failed:
             self._keep_cases()
-        evidence, evidence_error = log_evidence(posterior, self._draws)
-        middle = np.median(posterior.of_tests(self._draws), axis=0)
+        draws, logs, effective, evidence, evidence_error = self._drawn
+        middle = np.median(posterior.of_tests(draws), axis=0)
         return Solution(
-            problem, posterior, self._draws, self.effective,
-            mode(posterior, self._draws, self._density), evidence, evidence_error,
+            problem, posterior, draws, effective,
+            mode(posterior, draws, logs), evidence, evidence_error,
             random_wear(readings, middle)[1], self._error, self._step_error,
             readings.steps, readings.count, readings.failed, readings.reason,
         )  # fmt: skip
 
     def _keep_cases(self) -> None:
         """Keep only draws that the rules of cases and laws allow."""
-        problem, count = self.readings.problem, min(_CHECKED, len(self._draws))
-        rows = np.sort(self._random.choice(len(self._draws), count, replace=False))
-        x, good = self._posterior.of_tests(self._draws[rows]), np.ones(count, dtype=bool)
+        problem, count = self.readings.problem, min(_CHECKED, len(self._drawn.draws))
+        draws, logs = self._drawn.draws[:count], self._drawn.logs[:count]
+        x, good = self._posterior.of_tests(draws), np.ones(count, dtype=bool)
         for i, test in enumerate(problem.experiments):
             found = cases_at(test.case, problem.keys, np.array([*map(problem.values, x[:, i])]))
             good &= [isinstance(case, Case) for case in found]
-        self._draws, self._density = self._draws[rows[good]], self._density[rows[good]]
+        self._drawn = self._drawn._replace(draws=draws[good], logs=logs[good])
 
 
 def _trusted(true: FloatArray, off: FloatArray, power: float) -> float:
@@ -293,9 +300,11 @@ def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatA
     best, scale = theta[np.argmax(density)].copy(), theta.std(axis=0)
     best[sizes], scale[sizes] = np.median(theta[:, sizes], axis=0), 0.0
 
-    def minus_log_p(t: FloatArray) -> float:
-        return -float(max(posterior(best[None] + scale * t)[0], -1e10))
+    def minus_log_p(t: FloatArray) -> tuple[float, FloatArray]:
+        moved = t + _MOVED * np.eye(len(t) + 1, len(t), -1)
+        values = -np.maximum(posterior(best + scale * moved), -1e10)
+        return values[0], (values[1:] - values[0]) / _MOVED
 
     start = np.zeros(len(best))
-    found = minimize(minus_log_p, start, method="L-BFGS-B", options={"eps": 1e-4})
-    return best + scale * found.x if found.fun < minus_log_p(start) else best
+    found = minimize(minus_log_p, start, jac=True, method="L-BFGS-B")
+    return best + scale * found.x if found.fun < minus_log_p(start)[0] else best
