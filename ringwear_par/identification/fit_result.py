@@ -179,9 +179,7 @@ def result_of(solution: Solution) -> FitResult:
     material = posterior.material(solution.theta, random)
     log, bounds = (np.array([getattr(p, n) for p in problem.parameters]) for n in ("log", "bounds"))
     values, of_tests = (values_of(unknowns, log, bounds) for unknowns in (material, x))
-    # states of the sampler follow one another, its walkers, a multiple of the chains, side by side
-    states = np.linspace(0, len(x) // CHAINS - 1, _KEPT).round().astype(int)
-    rows = (CHAINS * states + np.arange(CHAINS)[:, None]).ravel()
+    rows = np.linspace(0, len(x) - 1, CHAINS * _KEPT).round().astype(int)
     some = rows[:: max(1, len(rows) // _BANDS)]
     every, scales = list[FittedSeries](), list[FloatArray]()
     for i, likelihood in enumerate(posterior.likelihoods):
