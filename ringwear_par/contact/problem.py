@@ -94,8 +94,8 @@ class Compliance:
         """
         keys = np.column_stack([self.pair, self.softness])
         _, rows, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        weighted = [self.line.area[:, None] * self.matrix(row) for row in rows.tolist()]
-        return np.array([np.abs(m - m.T).max() / np.abs(m).max() for m in weighted])[which]
+        weighted = (self.line.area[:, None] * self.matrix(row) for row in rows.tolist())
+        return np.array([np.abs(m - m.T).max() / np.abs(m).max() for m in weighted])[which.ravel()]
 
     def matrix(self, row: int) -> FloatArray:
         """Return the compliance of one history, (n, n) mm/MPa."""

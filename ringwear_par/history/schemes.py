@@ -87,6 +87,7 @@ def _mean_sliding(block: Block, state: State, end: FloatArray) -> tuple[FloatArr
 
 
 def _trend(state: State, time: FloatArray, p: FloatArray) -> FloatArray:
+    """Return how fast pressures (B, n) at a time have risen since the state, MPa/s."""
     return (p - state.pressure) / (time - state.time)[:, None]
 
 
@@ -115,8 +116,8 @@ def _moved(
 
 def _given(after: State, contact: Contact) -> Step:
     """Return steps whose errors nothing estimates."""
-    none = np.zeros_like(after.time)
-    return Step(after, np.zeros_like(after.pressure), none, none, contact.failed, none > 0.0)
+    none, fits = np.zeros_like(after.time), np.zeros_like(contact.failed)
+    return Step(after, np.zeros_like(after.pressure), none, none, contact.failed, fits)
 
 
 def rates_at(

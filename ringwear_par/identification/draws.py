@@ -24,7 +24,7 @@ from ringwear_par.schedules import mean, mean_of_product
 
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"
-#: walkers of the sampler are stored as so many chains
+#: draws are stored as so many chains, which ArviZ compares
 CHAINS = 4
 #: name of the scatter of a key between groups
 _SCATTER = "scatter of {} between {}"
@@ -34,7 +34,7 @@ CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu":
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws (s,) of the posterior of a fit, in the order of its chains."""
+    """Draws (s,) of the posterior of a fit, in no order."""
 
     #: the m fitted keys, and their units
     keys: tuple[str, ...]
@@ -101,8 +101,8 @@ class Draws:
         return values_of(unknowns, self.logarithmic, self.bounds)
 
     def check_keys(self, problem: Problem) -> None:
-        """Refuse a problem of other keys. Raises InputError."""
-        if problem.keys != self.keys:
+        """Refuse a problem of other keys, in any order. Raises InputError."""
+        if {*problem.keys} != {*self.keys}:
             raise InputError(
                 f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(self.keys)}, "
                 "as the fit of earlier tests"

@@ -52,7 +52,7 @@ from ringwear_par.version import versions
 
 #: files of its folder
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
-#: draws of each chain that are kept; of all, how many tell bands and nuisances
+#: draws that are kept, of each of the chains that ArviZ wants; how many of all tell bands
 _KEPT, _BANDS = 500, 500
 #: what is written of series, and what it means
 _WRITTEN = {
@@ -71,9 +71,9 @@ class FitResult(Outcome):
 
     #: with friction as torques tell it
     problem: Problem
-    #: draws by the sampler, with the emulators
+    #: draws, with the emulators
     solution: Solution
-    #: of what the fit knows, in the order of chains
+    #: of what the fit knows
     draws: Draws
     #: of all tests, at the mode and among the draws
     series: tuple[FittedSeries, ...]

@@ -12,6 +12,7 @@ from scipy.special import gammaln, logsumexp
 from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.errors import ComputationError
 
 #: densities of which points come, as many of each: degree of their polynomials, which may be wrong
 #: where it is high and there are hardly any draws; and whether these are of the draws' ranks, by
@@ -33,7 +34,8 @@ _TIMES, _EACH = 2, 4
 _MOST, _KEPT = 2**17, 20_000
 #: probability beyond each end of an interval; error of an end, in sd, of one draw of a normal one
 _TAIL = 0.025
-_NORMAL_END = float(np.sqrt(_TAIL * (1.0 - _TAIL)) / norm.pdf(norm.ppf(_TAIL)))
+_NEAR, _FAR = norm.ppf([0.5 * _TAIL, 1.5 * _TAIL])
+_NORMAL_END = float(np.sqrt((1.0 - _TAIL) / _TAIL) * (_FAR - _NEAR))
 
 #: log prior and log likelihood (s,) at points (s, d); where either is -inf they do not count
 Density = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -68,6 +70,8 @@ class _Nearby:
 
     def __init__(self, draws: FloatArray, bent: int, degree: int, ranked: bool) -> None:
         rows, counts = np.unique(draws, axis=0, return_counts=True)
+        if len(rows) <= rows.shape[1]:
+            raise ComputationError("hardly any points where the posterior is: give narrower bounds")
         self._low, self._high = rows.min(axis=0), rows.max(axis=0)
         self._ranks = np.quantile(rows, 0.5 + 0.5 * _RANKS, axis=0).T if ranked else None
         self._bent, self._degree = bent, degree
@@ -97,8 +101,9 @@ class _Nearby:
         most, terms, degrees = self._degree, np.ones((len(points), 1)), np.zeros(1, dtype=int)
         for j, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
             yield terms, terms[:, degrees <= 1]
-            t = np.clip((2.0 * points[:, [j]] - low - high) / (high - low), -_BEYOND, _BEYOND)
-            if self._ranks is not None:
+            if self._ranks is None:
+                t = np.clip((2.0 * points[:, [j]] - low - high) / (high - low), -_BEYOND, _BEYOND)
+            else:
                 t = np.interp(points[:, [j]], self._ranks[j], _RANKS)
             own = 1 if j < self._bent else most  # an entry alone has the highest degree
             powers = np.arange(1, 1 + most // own)
@@ -212,6 +217,8 @@ def _raised(cast: list[FloatArray], power: float, most: float) -> tuple[float, F
     most : largest power.
     """
     _, prior, likelihood, old = cast
+    if not (np.isfinite(prior) & np.isfinite(likelihood)).any():
+        raise ComputationError("no points where the posterior is: give narrower bounds")
     counting, trials = -1.0, most * 0.8 ** np.arange(100)
     for trial in trials[(trials > power) | (trials == most)]:
         logs = prior + trial * likelihood - old
@@ -247,5 +254,5 @@ def worth(points: FloatArray, weights: FloatArray) -> tuple[float, int]:
             chance = np.sqrt(np.square(ordered) @ np.square((below < tail) - tail))
             near, far = np.interp([tail - 0.5 * _TAIL, tail + 0.5 * _TAIL], below, x)
             errors.append(chance * (far - near) / _TAIL / sd)
-    worst = int(np.argmax(errors))
-    return float(_NORMAL_END / errors[worst]) ** 2, worst // 2
+    worst, most = int(np.argmax(errors)), float(1.0 / (w @ w))  # few points tell nothing of others
+    return min(float(_NORMAL_END / errors[worst]) ** 2, most), worst // 2

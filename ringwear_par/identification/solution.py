@@ -59,7 +59,7 @@ class Solution:
     #: with friction as torques tell it at the middle of the draws
     problem: Problem
     posterior: Posterior
-    #: (s, d), see ``Posterior``; states of the sampler one after another
+    #: (s, d), see ``Posterior``, in no order
     theta: FloatArray
     #: effective number of draws
     effective: float
@@ -96,10 +96,12 @@ def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution
         readings.tell(f"round {number + 1}, likelihood to the power {search.power:.2g}")
         search.read(adapt=number > 0)
         if search.power == 1.0:
-            whole += 1
+            whole, steps = whole + 1, readings.steps
             # the first emulators for it are of wider boxes, at whose faces they err
             if whole > 1 and (search.is_right() or whole == _MOST_WHOLE):
                 break
+            if readings.steps > steps:  # histories of finer steps need emulators anew
+                whole = 0
         search.emulate()
         search.draw(wanted if search.power == 1.0 else _SOME)
     return search.solution()
@@ -156,7 +158,8 @@ class _Search:
         self._likelihoods = [TestLikelihood(test, setting, shares) for test, setting in pairs]
         rows, counts = np.unique(self._drawn.draws, axis=0, return_counts=True)
         most = np.argsort(-counts)[:_HEAVY]  # perhaps by an error of emulators
-        some = np.concatenate([rows[most], self._random.permutation(rows)[: _TRIED - _HEAVY]])
+        others = self._random.permutation(np.delete(rows, most, axis=0))
+        some = np.concatenate([rows[most], others[: _TRIED - _HEAVY]])
         #: (P, tests, m) draws that have histories, and readings (P, n) of all tests there
         self._tried, m = posterior.of_tests(some), len(problem.parameters)
         self._boxes = {
@@ -265,7 +268,8 @@ class _Search:
         for i, test in enumerate(problem.experiments):
             found = cases_at(test.case, problem.keys, np.array([*map(problem.values, x[:, i])]))
             good &= [isinstance(case, Case) for case in found]
-        self._drawn = self._drawn._replace(draws=draws[good], logs=logs[good])
+        effective = min(self._drawn.effective, float(good.sum()))
+        self._drawn = self._drawn._replace(draws=draws[good], logs=logs[good], effective=effective)
 
 
 def _trusted(true: FloatArray, off: FloatArray, power: float) -> float:

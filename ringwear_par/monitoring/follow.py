@@ -81,7 +81,7 @@ def run_follow(
     def answer() -> None:
         """Write and print an answer whenever the files have changed."""
         follower, frame = None, None
-        for problem in _changes(source, name, signals):
+        for problem in _changes(source, name, once, signals):
             (test,) = problem.experiments
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
@@ -102,13 +102,15 @@ def run_follow(
         readings.lead(answer)
 
 
-def _changes(source: Path, name: str, signals: StopSignals) -> Iterator[Problem]:
+def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Iterator[Problem]:
     """Yield the problem of a running test, again whenever its files have changed."""
     seen, warned = None, ""
     while not signals.received:
         try:
             problem = read_running(source, name)
         except InputError as error:  # it is being written, or was replaced
+            if once:
+                raise
             if (reason := reason_of(error)) != warned:
                 log.warning("%s; the last answer stays until that changes", reason)
             warned = reason
@@ -161,4 +163,7 @@ def _of_the_fit(problem: Problem, draws: Draws) -> tuple[Problem, str]:
     of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
     check_predicted(draws, test.case, problem.name, of)
     process = {key: ProcessNoise() for key in draws.process}
-    return replace(problem, settings=replace(problem.settings, process=process)), of
+    by_key = {parameter.key: parameter for parameter in problem.parameters}
+    parameters, settings = (by_key[key] for key in draws.keys), problem.settings
+    settings = replace(settings, process=process)
+    return replace(problem, parameters=tuple(parameters), settings=settings), of

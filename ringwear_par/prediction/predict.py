@@ -132,8 +132,12 @@ def run_predict(
 
 
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
-    """Return the draws of a fit, or of the fit of a folder."""
-    return read_draws(Path(fit, POSTERIOR)) if isinstance(fit, Path | str) else fit.draws
+    """Return the draws of a fit, or of the fit of a folder; InputError of anything else."""
+    if isinstance(fit, Path | str):
+        return read_draws(Path(fit, POSTERIOR))
+    if not isinstance(draws := getattr(fit, "draws", None), Draws):
+        raise InputError(f"fit: a fit or its folder is needed, not {type(fit).__name__}")
+    return draws
 
 
 def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:

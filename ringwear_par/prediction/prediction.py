@@ -118,7 +118,10 @@ class Prediction(Outcome):
         """Return when the penetration reaches a depth, mm, first.
 
         Linear between steps. Draws that do not reach it count as later than the end of the case.
+        InputError of a depth that is not positive.
         """
+        if not depth > 0.0:
+            raise InputError(f"depth = {depth!r}: must be > 0 mm")
         return TimeTo.of(self.time, self.histories["penetration"], depth)
 
     def to_dict(self) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def small_blocks(monkeypatch):
     monkeypatch.setattr("ringwear_par.studies.many.MOST", 2)
 
 
-@pytest.mark.parametrize("scheme", ["adaptive", "explicit"])
+@pytest.mark.parametrize("scheme", ["adaptive", "implicit", "explicit"])
 @pytest.mark.usefixtures("small_blocks")
 def test_a_sweep(comm, mpi_tmp_path, scheme):
     study = study_of(mpi_tmp_path, comm, scheme)

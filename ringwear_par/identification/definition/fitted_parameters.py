@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.files.key_values import nearest_key
@@ -86,6 +88,11 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
     entry.finish()
     if log and bounds is not None and bounds[0] <= 0:
         entry.wrong("bounds", 'must be two increasing numbers > 0 where scale = "log"')
+    if bounds is not None and number and not number.holds(np.array(bounds)).all():
+        allowed = f"{'>=' if number.ends else '>'} {number.low:g}"
+        if number.high < math.inf:
+            allowed += f" and {'<=' if number.ends else '<'} {number.high:g}"
+        entry.wrong("bounds", f"must be values that {path} may have, {allowed}")
     if start is not None and bounds is not None:
         check_start(entry, start, bounds)
     if len(faults) > before:

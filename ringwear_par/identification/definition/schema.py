@@ -243,7 +243,7 @@ KEYS: tuple[Key, ...] = (
         "names of the columns of file; default: time (or r) and value", None),
     Key("experiment.data.units", *_COLUMNS, "-",
         "units of the columns of file, as pint writes them; default: the units in the columns' "
-        "names (z_um, z / um), which must agree; one of both must be given", None),
+        "names (z_um, z / um), which must agree; one of the two must be given", None),
     *file_keys("experiment.data"),
     Key("experiment.data.value", *number(-math.inf), "data's",
         "a single reading, instead of file; perhaps with its unit (\"6.1 mg\")", None),

@@ -148,7 +148,8 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
     else:
         draws = read_draws(folder / POSTERIOR)
         draws.check_keys(problem)
-        material = np.array([problem.unknowns(row) for row in draws.material])
+        order = [draws.keys.index(key) for key in problem.keys]
+        material = np.array([problem.unknowns(row) for row in draws.material[:, order]])
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
         vague = np.full(len(x), np.inf)
         for j, key in enumerate(problem.keys):
