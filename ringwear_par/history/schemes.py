@@ -142,16 +142,15 @@ BY_NAME: dict[str, Scheme] = {"adaptive": sdirk2, "implicit": implicit, "explici
 
 def start(block: Block, solver: Solver) -> tuple[State, BoolArray]:
     """Return the contacts before any wear, and which failed, or have no rates."""
-    count = len(block)
-    zero, p, none = np.zeros(count), np.zeros_like(block.gap), np.zeros(count, np.int64)
+    zero, p, none = np.zeros(len(block)), np.zeros_like(block.gap), np.zeros(len(block), np.int64)
     wear = np.zeros((len(block.wearing), *p.shape))
     p, d, failed, iterations = solver.solve(block.gap, block.load.at(zero), None, p, zero)
     layer = np.zeros(wear.shape, np.int64)
     for i, body in enumerate(block.wearing):
         layer[i] = (body.ends <= 0.0).sum(axis=0)
-    rates, never = rates_at(block, layer, zero, wear, p), np.full(count, np.inf)
+    rates, never = rates_at(block, layer, zero, wear, p), np.full_like(zero, np.inf)
     state = State(
         zero, zero, zero, wear, rates, layer, p, d, d, np.zeros_like(p),
-        np.full((count, 2), np.inf), none, iterations, zero, zero, never,
+        np.full((len(block), 2), np.inf), none, iterations, zero, zero, never,
     )  # fmt: skip
     return state, failed | ~np.isfinite(rates).all(axis=(0, 2))
