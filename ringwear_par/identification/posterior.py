@@ -268,7 +268,8 @@ class Posterior:
             inside = self.likelihoods[tests[0]].emulator.holds(x[:, tests]).all(axis=1)
             prior[~inside] = -np.inf
         inside, likelihood = np.isfinite(prior), np.zeros(len(theta))
-        likelihood[inside] = self.of_readings(theta[inside])
+        if inside.any():
+            likelihood[inside] = self.of_readings(theta[inside])
         return prior, likelihood
 
     def __call__(self, theta: FloatArray) -> FloatArray:

@@ -37,6 +37,11 @@ _TAIL = 0.025
 _NEAR, _FAR = norm.ppf([0.5 * _TAIL, 1.5 * _TAIL])
 _NORMAL_END = float(np.sqrt((1.0 - _TAIL) / _TAIL) * (_FAR - _NEAR))
 
+_NOWHERE = (
+    "hardly any values of the keys within the bounds agree with the readings: narrower bounds, or "
+    "the right units of readings, would help"
+)
+
 #: log prior and log likelihood (s,) at points (s, d); where either is -inf they do not count
 Density = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
@@ -71,7 +76,7 @@ class _Nearby:
     def __init__(self, draws: FloatArray, bent: int, degree: int, ranked: bool) -> None:
         rows, counts = np.unique(draws, axis=0, return_counts=True)
         if len(rows) <= rows.shape[1]:
-            raise ComputationError("hardly any points where the posterior is: give narrower bounds")
+            raise ComputationError(_NOWHERE)
         self._low, self._high = rows.min(axis=0), rows.max(axis=0)
         self._ranks = np.quantile(rows, 0.5 + 0.5 * _RANKS, axis=0).T if ranked else None
         self._bent, self._degree = bent, degree
@@ -144,7 +149,10 @@ class Nearby:
     """
 
     def __init__(self, draws: FloatArray, bent: int) -> None:
-        self._each = [_Nearby(draws, bent, *kind) for kind in _KINDS]
+        try:
+            self._each = [_Nearby(draws, bent, *kind) for kind in _KINDS]
+        except np.linalg.LinAlgError as error:
+            raise ComputationError(_NOWHERE) from error
 
     def points(self, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return some points (s, d), and the logarithm of the density there."""
@@ -218,7 +226,7 @@ def _raised(cast: list[FloatArray], power: float, most: float) -> tuple[float, F
     """
     _, prior, likelihood, old = cast
     if not (np.isfinite(prior) & np.isfinite(likelihood)).any():
-        raise ComputationError("no points where the posterior is: give narrower bounds")
+        raise ComputationError(_NOWHERE)
     counting, trials = -1.0, most * 0.8 ** np.arange(100)
     for trial in trials[(trials > power) | (trials == most)]:
         logs = prior + trial * likelihood - old
