@@ -6,7 +6,7 @@ ArviZ opens too.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -100,13 +100,15 @@ class Draws:
         """Return the values of unknowns (..., m), within the bounds to the last bit."""
         return values_of(unknowns, self.logarithmic, self.bounds)
 
-    def check_keys(self, problem: Problem) -> None:
-        """Refuse a problem of other keys, in any order. Raises InputError."""
+    def ordered(self, problem: Problem) -> Problem:
+        """Return a problem with its keys in the order of the fit's; InputError of other keys."""
         if {*problem.keys} != {*self.keys}:
             raise InputError(
                 f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(self.keys)}, "
                 "as the fit of earlier tests"
             )
+        parameters = sorted(problem.parameters, key=lambda p: self.keys.index(p.key))
+        return replace(problem, parameters=tuple(parameters))
 
 
 def values_of(unknowns: FloatArray, logarithmic: BoolArray, bounds: FloatArray) -> FloatArray:

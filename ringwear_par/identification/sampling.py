@@ -12,7 +12,6 @@ from scipy.special import gammaln, logsumexp
 from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.errors import ComputationError
 
 #: densities of which points come, as many of each: degree of their polynomials, which may be wrong
 #: where it is high and there are hardly any draws; and whether these are of the draws' ranks, by
@@ -37,11 +36,6 @@ _TAIL = 0.025
 _NEAR, _FAR = norm.ppf([0.5 * _TAIL, 1.5 * _TAIL])
 _NORMAL_END = float(np.sqrt((1.0 - _TAIL) / _TAIL) * (_FAR - _NEAR))
 
-_NOWHERE = (
-    "hardly any values of the keys within the bounds agree with the readings: narrower bounds, or "
-    "the right units of readings, would help"
-)
-
 #: log prior and log likelihood (s,) at points (s, d); where either is -inf they do not count
 Density = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
@@ -60,7 +54,7 @@ class Drawn(NamedTuple):
     error: float
 
 
-class _Nearby:
+class _Ridge:
     """A density like that of draws (s, d), from which points are easily had.
 
     Each entry has a t distribution given those before it. Its mean is a polynomial of these, and
@@ -76,7 +70,7 @@ class _Nearby:
     def __init__(self, draws: FloatArray, bent: int, degree: int, ranked: bool) -> None:
         rows, counts = np.unique(draws, axis=0, return_counts=True)
         if len(rows) <= rows.shape[1]:
-            raise ComputationError(_NOWHERE)
+            raise np.linalg.LinAlgError("too few draws")
         self._low, self._high = rows.min(axis=0), rows.max(axis=0)
         self._ranks = np.quantile(rows, 0.5 + 0.5 * _RANKS, axis=0).T if ranked else None
         self._bent, self._degree = bent, degree
@@ -111,11 +105,11 @@ class _Nearby:
             else:
                 t = np.interp(points[:, [j]], self._ranks[j], _RANKS)
             own = 1 if j < self._bent else most  # an entry alone has the highest degree
-            powers = np.arange(1, 1 + most // own)
-            fits = [degrees + own * power <= most for power in powers]
-            pairs = [*zip(powers, fits, strict=True)]
-            terms = np.hstack([terms, *(terms[:, some] * t**power for power, some in pairs)])
-            degrees = np.concatenate([degrees, *(degrees[s] + own * power for power, s in pairs)])
+            before, degrees_before = terms, degrees
+            for power in range(1, 1 + most // own):
+                some = degrees_before + own * power <= most
+                terms = np.hstack([terms, before[:, some] * t**power])
+                degrees = np.append(degrees, degrees_before[some] + own * power)
 
     def points(self, count: int, random: np.random.Generator) -> FloatArray:
         """Return points (count, d) of the density."""
@@ -145,14 +139,11 @@ class Nearby:
 
     Parameters
     ----------
-    bent : see ``_Nearby``.
+    bent : see ``_Ridge``.
     """
 
     def __init__(self, draws: FloatArray, bent: int) -> None:
-        try:
-            self._each = [_Nearby(draws, bent, *kind) for kind in _KINDS]
-        except np.linalg.LinAlgError as error:
-            raise ComputationError(_NOWHERE) from error
+        self._each = [_Ridge(draws, bent, *kind) for kind in _KINDS]
 
     def points(self, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return some points (s, d), and the logarithm of the density there."""
@@ -173,12 +164,14 @@ def draw(
 ) -> Drawn:
     """Return draws of a density, its likelihood to a power.
 
-    They come from draws of another density in steps, after each of which a part still counts.
+    They come from draws of another density in steps, after each of which a part still counts;
+    LinAlgError where hardly any does.
 
     Parameters
     ----------
     draws, old : (s, d) of the other density, and its logarithm (s,) there.
-    bent : see ``_Nearby``.
+    power : of the likelihood.
+    bent : see ``_Ridge``.
     want : effective number.
     """
     cast, reached, times = [draws, *density(draws), old], 0.0, 0
@@ -226,7 +219,7 @@ def _raised(cast: list[FloatArray], power: float, most: float) -> tuple[float, F
     """
     _, prior, likelihood, old = cast
     if not (np.isfinite(prior) & np.isfinite(likelihood)).any():
-        raise ComputationError(_NOWHERE)
+        raise np.linalg.LinAlgError("no point counts")
     counting, trials = -1.0, most * 0.8 ** np.arange(100)
     for trial in trials[(trials > power) | (trials == most)]:
         logs = prior + trial * likelihood - old

@@ -98,10 +98,11 @@ def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution
         if search.power == 1.0:
             whole, steps = whole + 1, readings.steps
             # the first emulators for it are of wider boxes, at whose faces they err
-            if whole > 1 and (search.is_right() or whole == _MOST_WHOLE):
-                break
+            right = whole > 1 and search.is_right()
             if readings.steps > steps:  # histories of finer steps need emulators anew
                 whole = 0
+            elif right or whole == _MOST_WHOLE:
+                break
         search.emulate()
         search.draw(wanted if search.power == 1.0 else _SOME)
     return search.solution()
@@ -235,7 +236,15 @@ class _Search:
         """Draw anew, with the likelihood to the power; ``want`` so many effective draws."""
         posterior, (draws, logs, *_) = self._posterior, self._drawn
         bent = len(posterior.shared) + len(posterior.sizes)
-        self._drawn = draw(posterior.parts, draws, logs, self.power, bent, self._random, want)
+        try:
+            self._drawn = draw(posterior.parts, draws, logs, self.power, bent, self._random, want)
+        except np.linalg.LinAlgError as error:
+            problem = posterior.problem
+            raise ComputationError(
+                f"{problem.name}: hardly any values of {', '.join(problem.keys)} within their "
+                "bounds agree with the readings: narrower bounds, or the right units of readings, "
+                "would help"
+            ) from error
         before, now = (np.quantile(d, _ENDS, axis=0) for d in (draws, self._drawn.draws))
         #: by how much ends of intervals moved, in sd
         self._moved = float((np.abs(now - before) / self._drawn.draws.std(axis=0)).max())

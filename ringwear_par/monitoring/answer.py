@@ -70,7 +70,7 @@ def answer_of(
     percent : half the width of that interval over the median.
     depth : mm, of penetration; None: none is asked for.
     """
-    (test,), level, of_fit = problem.experiments, problem.settings.level, follower.problem
+    (test,), level = problem.experiments, problem.settings.level
     specimens, alarm = _followed(follower, test)
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
     # (keys, 3) before the test, and at the end of each window
@@ -80,7 +80,7 @@ def answer_of(
     ]
     keys = {}
     for parameter, unit, (first, _, last), (low, median, high) in zip(
-        of_fit.parameters, follower.draws.units, trace[0], trace[-1], strict=True
+        problem.parameters, follower.draws.units, trace[0], trace[-1], strict=True
     ):
         entry = keys[parameter.key] = {
             "unit": unit, "estimate": median, "interval": (low, high),
@@ -88,9 +88,9 @@ def answer_of(
         }  # fmt: skip
         if told := in_users_unit(parameter, entry, test.case):
             entry["told"] = told
-    rates = [n for n, p in enumerate(of_fit.parameters) if p.log and "wear." in p.key]
+    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
     goal = (*rates, 0)[0]
-    key = of_fit.keys[goal]
+    key = problem.keys[goal]
     reached = keys[key]["percent"]
     time, less = time_to_goal(follower, specimen, goal, percent / reached)
     times = [0.0, *(float(one.test.times.max()) for one in specimens)]

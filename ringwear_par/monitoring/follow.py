@@ -81,7 +81,7 @@ def run_follow(
     def answer() -> None:
         """Write and print an answer whenever the files have changed."""
         follower, frame = None, None
-        for problem in _changes(source, name, once, signals):
+        for problem in map(known.ordered, _changes(source, name, once, signals)):
             (test,) = problem.experiments
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
@@ -159,11 +159,7 @@ def _of_the_fit(problem: Problem, draws: Draws) -> tuple[Problem, str]:
             f"{problem.name}: {legible(test.name)}: is among the tests of the fit, so that its "
             "readings would count twice; must be followed after a fit without it"
         )
-    draws.check_keys(problem)
     of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
     check_predicted(draws, test.case, problem.name, of)
     process = {key: ProcessNoise() for key in draws.process}
-    by_key = {parameter.key: parameter for parameter in problem.parameters}
-    parameters, settings = (by_key[key] for key in draws.keys), problem.settings
-    settings = replace(settings, process=process)
-    return replace(problem, parameters=tuple(parameters), settings=settings), of
+    return replace(problem, settings=replace(problem.settings, process=process)), of

@@ -37,7 +37,7 @@ from ringwear_par.version import __version__, versions
 
 log = logging.getLogger(__name__)
 
-#: how variables of all are compressed; blocks are read once
+#: how variables of the results are compressed; files of blocks, which are read once, are not
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 #: bytes that results may take beside their blocks
 _MORE_BYTES = 1e6

@@ -136,6 +136,12 @@ def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") ->
         raise InputError(Fault(f"{sentence}{UNITS[base]}{hint}", code="unit")) from reason
 
 
+def no_unit(table: Measurements, column: str, unit: str, hint: str = "") -> Fault:
+    """Return the fault of a column that names no unit, as this one would be, see above."""
+    name = legible(column)
+    return Fault(f"{table.name}: {name}: no unit; name it {name} / {unit}{hint}", code="unit")
+
+
 def read_trace(path: Path) -> list[list[float]]:
     """Return the radii and heights, mm, of a table of two columns. Not collective.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.files.columns import missing_column, unit_by_name
+from ringwear_par.cases.files.columns import missing_column, no_unit, unit_by_name
 from ringwear_par.cases.files.weighings import KINDS, MASSES, roles_by_name
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.units import bare_name, factor, unit_of_column
@@ -152,11 +152,7 @@ def _column(
         faults += error.faults
         return None
     if unit is None and not (role == name and key_of(role)):
-        sentence = (
-            f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / {base}, "
-            f"or tests.units must have {role}"
-        )
-        faults.append(Fault(sentence, code="unit"))
+        faults.append(no_unit(table, name, base, f", or tests.units must have {role}"))
         return None
     kind, _, body = role.partition(".")
     if kind not in MASSES:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.files.columns import unit_by_name
+from ringwear_par.cases.files.columns import no_unit, unit_by_name
 from ringwear_par.cases.units import bare_name, factor, unit_of_column
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements, unused_columns
 from ringwear_par.files.table_text import EMPTY
 
@@ -222,13 +222,10 @@ def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, flo
         if role not in KINDS:
             continue
         try:
-            unit = unit_by_name(column, name, "g")
+            if (unit := unit_by_name(column, name, "g")) is None:
+                raise InputError(no_unit(table, name, "g"))
         except InputError as error:
             faults += error.faults
-            continue
-        if unit is None:
-            sentence = f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / g"
-            faults.append(Fault(sentence, code="unit"))
             continue
         columns[place] = role, factor(unit, "g")
     kinds_read = {kind for kind, _ in columns.values()}

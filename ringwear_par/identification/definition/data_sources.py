@@ -14,6 +14,7 @@ from ringwear_par.cases.files.columns import (
     UNITS,
     FileStore,
     missing_column,
+    no_unit,
     read_texts,
     unit_by_name,
 )
@@ -40,8 +41,6 @@ _NEAR_ZERO = 0.05
 _SIDES = {"below": -1, "above": 1, "": 0}
 #: share of the test by which times may be later than its end, as when rounded to minutes
 _ROUNDED = 2e-4
-
-
 #: keys of a file, and all that tell where readings are from
 _OF_FILE = ("columns", "units", "skip", "drop")
 _SOURCES = ("file", *_OF_FILE, "value", "unit", "times", "r")
@@ -168,7 +167,7 @@ def _column_unit(
 
     None, and a fault, where there is no such column, no unit, or that of something else.
     """
-    state, name = f"units.{role} = {shortened(unit)}:", legible(column)
+    state, hint = f"units.{role} = {shortened(unit)}:", f", or units.{role} must be given"
     if missing := missing_column(data, column, role):
         reader.fault(missing, "columns")
         return None
@@ -176,22 +175,20 @@ def _column_unit(
         if unit:
             named = unit_of_column(data.label(column), base)
         else:
-            named = unit_by_name(data, column, base, f", or units.{role} must be given")
+            named = unit_by_name(data, column, base, hint)
         if not (unit or named) and role == "time" and data.begins_with_stamp(column):
             named = base
         scale = factor(unit or named or "", base)
     except InputError as error:
         reader.fault(error.faults[0], "units")
     except RejectedError:
-        rule = f"{state} must be the unit of {UNITS[base]}"
-        if not unit:
-            rule = f"{data.name}: {name}: no unit; name it {name} / {base}, or units.{role} "
-            rule += "must be given"
-        reader.fault(rule, f"units.{role}", "unit")
+        wrong = f"{state} must be the unit of {UNITS[base]}"
+        sentence = wrong if unit else no_unit(data, column, base, hint)
+        reader.fault(sentence, f"units.{role}", "unit")
     else:
         if not (unit and named) or math.isclose(factor(named, base), scale):
             return unit or named or "", scale
-        by_name = f"the column {name} of {data.name} is in {legible(named)} by its name"
+        by_name = f"the column {legible(column)} of {data.name} is in {legible(named)} by its name"
         reader.fault(f"{state} {by_name}; must be the same unit", "units", "unit")
     return None
 

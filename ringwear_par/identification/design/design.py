@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, InputError, counted
-from ringwear_par.files.folders import BARS, DESIGN, json_bytes, write_outcome
+from ringwear_par.files.folders import BARS, DESIGN, POSTERIOR, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
 from ringwear_par.identification.definition.problem import Criterion, Problem
@@ -27,6 +27,7 @@ from ringwear_par.identification.design.information import (
     candidates,
     informations,
 )
+from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import Readings
 from ringwear_par.parallel import on_first_rank
@@ -160,7 +161,9 @@ def design(
         if criterion is not None:
             problem = replace(problem, design=replace(problem.design, criterion=criterion))
         _check(problem)
-        before = before_tests(problem, None if after is None else Path(after))
+        draws = None if after is None else read_draws(Path(after, POSTERIOR))
+        problem = problem if draws is None else draws.ordered(problem)
+        before = before_tests(problem, draws)
         return problem, before, candidates(problem.design, problem.experiments[0])
 
     problem, before, tests = on_first_rank(comm, read)

@@ -7,7 +7,6 @@ noise, nuisances projected out. A test of a new specimen tells less of a materia
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +14,13 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor
-from ringwear_par.files.folders import POSTERIOR
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
     Problem,
     Series,
 )
-from ringwear_par.identification.draws import read_draws
+from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, prior_sd
 from ringwear_par.identification.noise import STUDENT, Noise, Setting
@@ -133,11 +131,11 @@ class Before:
         return np.where(sd > self.vague, np.inf, sd * self.slopes)
 
 
-def before_tests(problem: Problem, folder: Path | None) -> Before:
-    """Return what priors and bounds tell, or the draws of an earlier fit of the same keys."""
+def before_tests(problem: Problem, draws: Draws | None) -> Before:
+    """Return what priors and bounds tell, or the draws of an earlier fit of these keys."""
     parameters, process = problem.parameters, problem.settings.process
     scatter = np.array([p.scatter.variance if p.scatter else 0.0 for p in parameters])
-    if folder is None:
+    if draws is None:
         sizes = [np.nan if noise.size is None else noise.size for noise in process.values()]
         means = [p.start if p.prior is None else p.prior.mean for p in parameters]
         x = problem.unknowns(np.clip(means, *np.array([p.bounds for p in parameters]).T))
@@ -146,10 +144,7 @@ def before_tests(problem: Problem, folder: Path | None) -> Before:
         vague, covariance = np.where(known, np.inf, VAGUE * sd), np.diag(sd**2)
         material = x + np.random.default_rng(0).standard_normal((_MANY, len(x))) * sd * known
     else:
-        draws = read_draws(folder / POSTERIOR)
-        draws.check_keys(problem)
-        order = [draws.keys.index(key) for key in problem.keys]
-        material = np.array([problem.unknowns(row) for row in draws.material[:, order]])
+        material = np.array([problem.unknowns(row) for row in draws.material])
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
         vague = np.full(len(x), np.inf)
         for j, key in enumerate(problem.keys):

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.files.columns import UNITS, missing_column, unit_by_name
+from ringwear_par.cases.files.columns import UNITS, missing_column, no_unit, unit_by_name
 from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import Fault, InputError, legible
@@ -326,7 +326,7 @@ def _conversion(
     InputError : they are in no unit, or in that of something else.
     """
     base, label, written = CHANNELS[channel], table.label(column), _WRITTEN[channel]
-    scale: float | None = None
+    scale, hint = None, f', or units = {{ {channel} = "{written}" }}'
     if channel == "temperature":
         match = _TEMPERATURE.search(label) if unit is None else _TEMPERATURE.fullmatch(unit.strip())
         if match is not None:
@@ -337,7 +337,6 @@ def _conversion(
     elif channel == "time" and table.begins_with_stamp(column):
         scale = 1.0
     else:
-        hint = f', or units = {{ {channel} = "{written}" }}'
         named = unit_by_name(table, column, base, hint)
         scale = None if named is None else factor(named, base)
     if scale is not None:
@@ -347,13 +346,11 @@ def _conversion(
             f"{table.name}: {legible(column)}: {cell} may be h:min or min:s; name it "
             f'{legible(column)} / h or {legible(column)} / min, or units = {{ time = "h" }}'
         )
-    sentence = (
-        f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "
-        f'units = {{ {channel} = "{written}" }}'
-        if unit is None
-        else f"{table.name}: units.{channel} = {shortened(unit)}: must be the unit of {UNITS[base]}"
-    )
-    raise InputError(Fault(sentence, code="unit"))
+    if unit is None:
+        raise InputError(no_unit(table, column, written, hint))
+    rule = f"must be the unit of {UNITS[base]}"
+    state = f"{table.name}: units.{channel} = {shortened(unit)}"
+    raise InputError(Fault(f"{state}: {rule}", code="unit"))
 
 
 def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArray, BoolArray, int]:
