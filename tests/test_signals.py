@@ -4,11 +4,13 @@ import signal
 import subprocess
 import threading
 import time
+import weakref
 from contextlib import contextmanager
 
 import pytest
 import xarray
 from commands import NEEDS_MPIRUN, RINGWEAR, SHELL_ENVIRONMENT, python, ringwear
+from parts import StopSignals
 from paths import PAPER
 from waiting import Waiting
 
@@ -140,3 +142,17 @@ def test_everything_works_in_any_thread(tmp_path, comm):
     assert done[:2] == [done[0]] * 2
     assert [float(value) for value in done] == pytest.approx([done[0]] * 4, rel=1e-4)
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_a_signal_in_a_callback_is_not_lost():
+    """Python ignores exceptions there, as where HDF5 frees its objects."""
+
+    def free():
+        held = [threading.Event()]
+        reference = weakref.ref(held[0], lambda _: signal.raise_signal(signal.SIGTERM))
+        held.clear()
+        time.sleep(10.0)
+        assert not reference
+
+    with StopSignals(at_once=True), pytest.raises(KeyboardInterrupt, match="SIGTERM"):
+        free()

@@ -101,7 +101,7 @@ class Readings:
         with together(comm):
             if comm.rank == 0:
                 try:
-                    with closing(Progress(pause=0.0)) as self._progress:
+                    with closing(Progress()) as self._progress:
                         content = pickle.dumps(job(), pickle.HIGHEST_PROTOCOL)
                 finally:
                     self._progress = None

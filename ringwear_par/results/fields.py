@@ -126,8 +126,7 @@ def _lacks(result: Result, what: str, must: str) -> InputError:
 
 def nearest_rows(stored: FloatArray, times: Sequence[float]) -> list[int]:
     """Return which stored times (s) are nearest to times, the last one for none."""
-    rows = {int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1}
-    return sorted(rows)
+    return sorted({int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1})
 
 
 class Interface(NamedTuple):

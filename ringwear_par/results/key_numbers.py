@@ -367,8 +367,7 @@ def checks(result: Result) -> tuple[list[str], str]:
     for number in numbers:
         worst[number.group] = max(number.value, worst[number.group])
     words = [f"balances to {worst[BALANCES]:.0e}", f"mesh to {worst[MESH_BALANCES]:.0e}"]
-    steps = [number for number in numbers if number.group == TIME_STEPS]
-    words += [f"time steps to {number.text} {number.unit} in all" for number in steps]
+    words += [f"time steps to {n.text} {n.unit} in all" for n in numbers if n.group == TIME_STEPS]
     return wrong, ", ".join(words)
 
 

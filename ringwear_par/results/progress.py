@@ -12,8 +12,8 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 
-#: wall seconds between lines where there is no terminal
-PROGRESS_SECONDS = 10.0
+#: wall seconds between lines where there is no terminal, and between updates of a bar on one
+PROGRESS_SECONDS, BAR_SECONDS = 10.0, 0.2
 SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
 #: seconds within which a signal is the same request: ``timeout`` sends it twice
 _SAME_SECONDS = 1.0
@@ -25,17 +25,11 @@ class Progress:
     Parameters
     ----------
     total, start : of a bar, and done before; None: no bar, only a text.
-    pause : s, between updates of a bar.
     silent : whether to show nothing, as on other ranks than the first.
     """
 
     def __init__(
-        self,
-        total: float | None = None,
-        start: float = 0.0,
-        pause: float = 0.2,
-        *,
-        silent: bool = False,
+        self, total: float | None = None, start: float = 0.0, *, silent: bool = False
     ) -> None:
         self._last = time.perf_counter()
         self._bar: Any = None
@@ -45,7 +39,7 @@ class Progress:
 
             form = "{desc} [{elapsed}]" if total is None else "{desc} {bar} [{elapsed}<{remaining}]"
             bar = tqdm(total=total, initial=start, leave=False, smoothing=0.0, bar_format=form)
-            self._bar, self._pause = bar, pause
+            self._bar, self._pause = bar, BAR_SECONDS
 
     def is_due(self) -> bool:
         """Tell whether to show something by now."""
@@ -71,8 +65,6 @@ class Progress:
 
 def duration(seconds: float) -> str:
     """Return a time in words."""
-    if not math.isfinite(seconds):
-        return "unknown time"
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     minutes = round(seconds / 60.0)
@@ -106,9 +98,11 @@ class StopSignals:
             for number in SIGNALS:
                 if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                     self._old[number] = signal.signal(number, self._receive)
+        self._unheard, sys.unraisablehook = sys.unraisablehook, self._raise_again
         return self
 
     def __exit__(self, *_: object) -> None:
+        sys.unraisablehook = self._unheard
         for number, handler in self._old.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
@@ -120,3 +114,11 @@ class StopSignals:
         elif time.monotonic() - self._time > _SAME_SECONDS:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
+
+    def _raise_again(self, lost: Any) -> None:
+        """Send a signal again whose KeyboardInterrupt was lost, as in a destructor."""
+        if self._at_once and self.received and issubclass(lost.exc_type, KeyboardInterrupt):
+            number, self.received = self.received, 0
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+        else:
+            self._unheard(lost)

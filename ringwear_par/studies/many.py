@@ -239,12 +239,11 @@ def computed(
             recorder = Recorder(chosen, comm, results=results, pair_is_shared=not following)
             block = Block.of(chosen, pair, _some(step_times, numbers), _some(paces, numbers))
             failures = simulate(block, recorder, following=following, comm=comm)
+            parts.append(Computed(numbers, recorder, failures))
         except InputError:
             raise
         except Exception as error:  # the same for all of them
             errors |= dict.fromkeys(numbers, error)
-        else:
-            parts.append(Computed(numbers, recorder, failures))
     return parts, errors
 
 

@@ -10,7 +10,7 @@ import hashlib
 import logging
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from ringwear_par.files.text import toml_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.fields import side_words
 from ringwear_par.results.files import UnreadableError, atomic_hdf5, reading
+from ringwear_par.results.progress import Progress
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.variables import LINE, Variable, edge_elements
 from ringwear_par.results.variables import axis as axis_of
@@ -201,15 +202,16 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
         atomic_write(folder / RESULTS) as path, atomic_write(folder / TABLE) as rows,
         rows.open("w", newline="", encoding="utf-8") as table,
         h5py.File(path, "w", libver=("v110", "v110")) as file,
+        closing(Progress(len(blocks))) as progress,
     ):  # fmt: skip
         _make(file, study, blocks)
         writer, first = csv.writer(table), 0
-        for block in blocks:
+        for done, block in enumerate(blocks):
+            progress.show(done, "%d of %d blocks are merged", done, len(blocks))
             some = slice(first, first + len(block.numbers))
             with _opened(block) as part:
-                arrays = {name: data[()] for name, data in part.items()}
-            for name, values in arrays.items():
-                _put(file[name], some, values.astype(file[name].dtype), name)
+                for name, data in part.items():
+                    _put(file[name], some, data[()].astype(file[name].dtype), name)
             columns = _columns(file, study, block, some)
             if not first:
                 writer.writerow(columns)
@@ -248,9 +250,9 @@ def _make(file: h5py.File, study: Study, blocks: Sequence[Block]) -> None:
             name, (len(study), *shape), h5py.string_dtype("utf-8", kind.itemsize) if text else kind,
             fillvalue=np.nan if kind.kind == "f" else None, **_PACKED,
         )  # fmt: skip
-        data.attrs.update(variables[name].attributes)
-        if text:  # with which xarray takes bytes for the texts that they are
-            data.attrs["_Encoding"] = "utf-8"
+        # with it xarray takes bytes for the texts that they are
+        encoding = {"_Encoding": "utf-8"} if text else {}
+        data.attrs.update(variables[name].attributes | encoding)
         if name in keys:
             data[...] = keys[name].astype(data.dtype)
         if name in study.ranges:
