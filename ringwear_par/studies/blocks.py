@@ -73,8 +73,6 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
         time.sleep(nap)
         nap = min(2.0 * nap + _SHORTEST_NAP, _LONGEST_NAP)
         for block in left:
-            if block.path.exists():
-                continue
             try:
                 lock = block.path.with_suffix(".lock").open("w")
             except FileNotFoundError:  # another process has merged all blocks

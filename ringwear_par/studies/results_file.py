@@ -210,8 +210,9 @@ def merge(study: Study, blocks: Sequence[Block], folder: Path, ranks: int) -> No
             progress.show(done, "%d of %d blocks are merged", done, len(blocks))
             some = slice(first, first + len(block.numbers))
             with _opened(block) as part:
-                for name, data in part.items():
-                    _put(file[name], some, data[()].astype(file[name].dtype), name)
+                arrays = {name: data[()] for name, data in part.items()}
+            for name, values in arrays.items():
+                _put(file[name], some, values.astype(file[name].dtype), name)
             columns = _columns(file, study, block, some)
             if not first:
                 writer.writerow(columns)
