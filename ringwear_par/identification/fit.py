@@ -14,7 +14,7 @@ from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.series import BLOCKS, averaged
-from ringwear_par.identification.expectation import expectation
+from ringwear_par.identification.design.information import expectation
 from ringwear_par.identification.fit_result import FILES, FitResult, result_of
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.identification.record_checks import refuse_unfit
