@@ -21,21 +21,34 @@ from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
-#: sd above which readings do not belong to the others
-_FAR = 6.0
 #: p-values below which a model does not fit, tests do not agree, and residuals are no noise
 IMPROBABLE, _NO_CHANCE, _NO_NOISE = 1e-3, 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
 _INFORMED = 1e-6
 #: beginnings of keys of rates: other keys are settings of the machine
 _RATES = ("wear.", "contact.friction")
-#: time constants of growth below which a record cannot distinguish growth from drift
-_ALIKE = 3.0
 #: groups up to which a scatter depends mostly on its prior
 _FEW = 2
-#: largest sd of the error of log p by emulators, and by time steps; fewest effective draws; largest
-#: share of histories that fail
-_EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
+#: largest share of histories that fail
+_FAILED = 0.05
+#: doubts about series whose size is beyond a limit: minus a p-value, sd that a reading is off, and
+#: minus time constants of growth; in the place of {} is the size of the worst one
+_OF_SERIES = {
+    "residuals-trend": (
+        -_NO_NOISE,
+        "readings trend away from the model (p = {}): they differ from it by more than noise, and "
+        "intervals are too narrow",
+    ),
+    "outliers": (
+        6.0,
+        "up to {} sd off the model: check units, and the side of limits; exclude leaves out an "
+        "edge or a stop",
+    ),
+    "drift-or-growth": (
+        -3.0,
+        "{} time constants hardly tell a drift from thermal growth; give one a prior",
+    ),
+}
 
 Entries = Mapping[str, Mapping[str, Any]]
 Check = dict[str, Any]
@@ -67,11 +80,11 @@ def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
 def of_computation(solution: Solution) -> Iterator[Check | ValidityWarning]:
     """Yield what tells whether draws are those of the posterior."""
     failed, histories = solution.failed, solution.histories
-    share, step = failed / max(histories, 1), "time steps halved: sd of the change of log p"
-    yield check("emulators: sd of the error of log p", solution.emulator_error, "<", _EMULATED)
-    yield check(step, solution.step_error, "<", _STEPPED)
+    share = failed / max(histories, 1)
+    yield check("emulators: sd of the error of log p", solution.emulator_error, "<", 0.1)
+    yield check("time steps halved: sd of the change of log p", solution.step_error, "<", 0.2)
     yield check("share of histories that failed", share, "<", _FAILED)
-    yield check("effective number of draws", solution.effective, ">", _EFFECTIVE)
+    yield check("effective number of draws", solution.effective, ">", 1000.0)
     if share >= _FAILED:
         text = f"{failed} of {histories} histories failed, and count as improbable"
         yield ValidityWarning("histories-failed", f"{text}: {solution.reason}")
@@ -89,59 +102,39 @@ def of_squares(goodness: Mapping[str, Any]) -> Iterator[Check | ValidityWarning]
 
 
 def of_series(every: Sequence[FittedSeries]) -> Iterator[Check | ValidityWarning]:
-    """Yield what tells whether the residuals of records are noise in time, and single readings too.
+    """Yield what tells whether residuals are noise in time, single readings are like the others.
 
     Also a doubt about growth that may be drift.
     """
-    trends, outliers, alike = [], [], []
+    found = defaultdict[str, list[tuple[float, str, str]]](list)
     for one in every:
         series, residuals = one.series, one.drawn.residuals
         if not series.profile and len(one.misfits):
             # noise that is given is no smaller than that
             least = 0.0 if series.sd_fitted else 1.0
             p = trend(one.misfits, len(series.nuisances), least)
-            trends.append((-p, one.title, one.test))
+            found["residuals-trend"].append((-p, one.title, one.test))
         holds = one.drawn.censored * residuals < 0.0  # of a limit
         far = np.where(holds, 0.0, np.abs(residuals))
-        if far.max() > _FAR and not series.sd_fitted:
+        if not series.sd_fitted:
             axis, unit = ("r", "mm") if series.profile else ("time", "s")
             at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
-            outliers.append((float(far.max()), one.title + at, one.test))
+            found["outliers"].append((float(far.max()), one.title + at, one.test))
         flat = {n.kind for n in series.nuisances if n.prior is None}
         if (growth := series.growth_time) and {"drift", "thermal"} <= flat:
             lengths = float(series.x.max() / np.median(one.nuisances[growth.kind]))
-            alike.append((-lengths, one.title, one.test))
-    if trends:
+            found["drift-or-growth"].append((-lengths, one.title, one.test))
+    if trends := found["residuals-trend"]:
         name = "residuals in time: least probability that they are noise"
         yield check(name, -max(trends)[0], ">", _NO_NOISE)
-    yield from _gathered(
-        "residuals-trend", trends, -_NO_NOISE, "readings trend away from the model (p = {}): they "
-        "differ from it by more than noise, and intervals are too narrow",
-    )  # fmt: skip
-    yield from _gathered(
-        "outliers", outliers, _FAR, "up to {} sd off the model: check units, and the side of "
-        "limits; exclude leaves out an edge or a stop",
-    )  # fmt: skip
-    yield from _gathered(
-        "drift-or-growth", alike, -_ALIKE, "{} time constants hardly tell a drift from thermal "
-        "growth; give one a prior",
-    )  # fmt: skip
-
-
-def _gathered(
-    code: str, found: Sequence[tuple[float, str, str]], limit: float, sentence: str
-) -> Iterator[ValidityWarning]:
-    """Yield one doubt about all that is beyond a limit: how much, what and in which test.
-
-    The sentence has the size of the worst one in place of {}.
-    """
-    if beyond := [one for one in found if one[0] > limit]:
-        (size, name, _), rest = max(beyond), len(beyond) - 1
-        more = f" and {counted(rest, 'other')}" * bool(rest)
-        text = f"{name}{more}: {sentence.replace('{}', f'{abs(size):.2g}')}"
-        tests = tuple(dict.fromkeys(test for _, _, test in beyond))
-        values = {name: abs(size) for size, name, _ in beyond}
-        yield ValidityWarning(code, text, (), tests, values)
+    for code, (limit, sentence) in _OF_SERIES.items():
+        if beyond := [one for one in found[code] if one[0] > limit]:
+            (size, name, _), rest = max(beyond), len(beyond) - 1
+            more = f" and {counted(rest, 'other')}" * bool(rest)
+            text = f"{name}{more}: {sentence.replace('{}', f'{abs(size):.2g}')}"
+            tests = tuple(dict.fromkeys(test for _, _, test in beyond))
+            values = {name: abs(size) for size, name, _ in beyond}
+            yield ValidityWarning(code, text, (), tests, values)
 
 
 def of_tests(

@@ -138,6 +138,6 @@ def run_fit(
     if comm.rank == 0:
         warn_of_threads(comm.size)
     into_folder(folder, FILES, comm, lambda: fit_problem(problem, comm, compare=compare))
-    if comm.rank == 0 and problem.alternatives and not compare:
-        names = ", ".join(problem.alternatives)
-        log.info("laws of [compare] were not fitted: --compare fits %s", names)
+    if comm.rank == 0 and compare != bool(problem.alternatives):
+        hint = "there are none" if compare else f"--compare fits {', '.join(problem.alternatives)}"
+        log.info("laws of [compare] were not fitted: %s", hint)

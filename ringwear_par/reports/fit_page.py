@@ -314,8 +314,9 @@ def _designed(outcome: Mapping[str, Any]) -> page.Section:
         page.Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
     alt = "Predicted standard deviations after the best designs"
-    panels = key_panels.design_panels(outcome)
-    blocks.append(page.Pictures([page.chart(panel, alt) for panel in panels]))
+    height = max(3.2, 0.2 * sum(len(design["experiments"]) for design in outcome["designs"]))
+    charts = [page.chart(panel, alt, height) for panel in key_panels.design_panels(outcome)]
+    blocks.append(page.Pictures(charts))
     return page.Section("The next tests", blocks)
 
 

@@ -217,29 +217,29 @@ def sds_in_words(sds: Mapping[str, float | None], scales: Mapping[str, Any]) -> 
 
 def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
     """Return what the tests of a problem would tell, in lines: a dry run. Collective on comm."""
-    with StopSignals() as signals:
-        readings = Readings(problem, comm, signals)
-        return readings.lead(lambda: _expected(readings))
+    readings, tests = Readings(problem, comm, StopSignals()), problem.experiments
 
+    def lead() -> str:
+        refuse_unfit(readings)
+        before = before_tests(problem, None)
+        there = replace(before, draws=problem.unknowns(before.values)[None])
+        told = informations(readings, there).sum(axis=0)
+        if not np.isfinite(told).all():
+            raise ComputationError(f"{problem.name}: no history at the start: {readings.reason}")
+        about, scales = in_users_units(problem, before)
+        lines = [
+            f"{problem.name}: {counted(sum(test.n for test in tests), 'reading')} in "
+            f"{counted(len(tests), 'experiment')}; to be expected at {', '.join(about)} (nothing "
+            "written):"
+        ]
+        covariance, sds = (
+            np.linalg.inv(np.linalg.inv(before.covariance) + told[0]),
+            before.sds(told),
+        )
+        for j, (sd, words) in enumerate(zip(sds.values(), sds_in_words(sds, scales), strict=True)):
+            lines.append(f"  {words}" + f": {direction(problem, covariance, j)}" * (sd is None))
+        if problem.alternatives:
+            lines.append(f"to be compared: {', '.join(problem.alternatives)}")
+        return "\n".join(lines)
 
-def _expected(readings: Readings) -> str:
-    refuse_unfit(readings)
-    problem = readings.problem
-    before, tests = before_tests(problem, None), problem.experiments
-    there = replace(before, draws=problem.unknowns(before.values)[None])
-    told = informations(readings, there).sum(axis=0)
-    if not np.isfinite(told).all():
-        raise ComputationError(f"{problem.name}: no history at the start: {readings.reason}")
-    about, scales = in_users_units(problem, before)
-    covariance = np.linalg.inv(np.linalg.inv(before.covariance) + told[0])
-    lines = [
-        f"{problem.name}: {counted(sum(test.n for test in tests), 'reading')} in "
-        f"{counted(len(tests), 'experiment')}; to be expected at {', '.join(about)} (nothing "
-        "written):",
-    ]
-    sds = before.sds(told)
-    for j, (sd, words) in enumerate(zip(sds.values(), sds_in_words(sds, scales), strict=True)):
-        lines.append(f"  {words}" + f": {direction(problem, covariance, j)}" * (sd is None))
-    if problem.alternatives:
-        lines.append(f"to be compared: {', '.join(problem.alternatives)}")
-    return "\n".join(lines)
+    return readings.lead(lead)

@@ -123,10 +123,10 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
 
 
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
-    """Its draws are what is known today."""
+    """Its draws are what is known today, the scatter too, of which the file says nothing."""
     source = tables(experiments=1)
     case = read_fit(source).experiments[0].case
-    draws = draws_of(case, p0=np.linspace(20.0, 30.0, 200))
+    draws = draws_of(case, p0=np.linspace(20.0, 30.0, 200), tau=0.2)
     write_draws(tmp_path / "draws.nc", draws, {}, {}, {})
     found = rw.design(source, comm, after=tmp_path)
     k, p0 = draws.material.T
@@ -136,6 +136,7 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     )
     assert before == pytest.approx(spread * [found.content["parameters"][K], 1.0])
     assert found.content["draws"] == 6
+    assert "specimens differ by 20 %" in found.summary()
     assert (after < before).all()
     source["fit"]["parameters"].pop(P0)
     with pytest.raises(rw.InputError, match=f"must be {K}, {P0}"):
