@@ -70,13 +70,11 @@ class DesignResult(Outcome):
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
-        content, valid = (
-            self.content,
-            "without priors or an earlier fit (--after) it holds there only",
-        )
+        content = self.content
+        where = f"after {content['after']}" if content["after"] else "at the start"
+        valid = "without priors or an earlier fit (--after) it holds there only"
         if content["draws"] > 1:
             valid = f"means over {content['draws']} draws"
-        where = f"after {content['after']}" if content["after"] else "at the start"
         lines = [
             f"{content['fit']}: {len(self.designs[0]['experiments'])} of {content['candidates']} "
             f"tests, {_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
