@@ -34,21 +34,13 @@ _FAILED = 0.05
 #: doubts about series whose size is beyond a limit: minus a p-value, sd that a reading is off, and
 #: minus time constants of growth; in the place of {} is the size of the worst one
 _OF_SERIES = {
-    "residuals-trend": (
-        -_NO_NOISE,
-        "readings trend away from the model (p = {}): they differ from it by more than noise, and "
-        "intervals are too narrow",
-    ),
-    "outliers": (
-        6.0,
-        "up to {} sd off the model: check units, and the side of limits; exclude leaves out an "
-        "edge or a stop",
-    ),
-    "drift-or-growth": (
-        -3.0,
-        "{} time constants hardly tell a drift from thermal growth; give one a prior",
-    ),
-}
+    "residuals-trend": (-_NO_NOISE, "readings trend away from the model (p = {}): they differ from "
+                        "it by more than noise, and intervals are too narrow"),
+    "outliers": (6.0, "up to {} sd off the model: check units, and the side of limits; exclude "
+                 "leaves out an edge or a stop"),
+    "drift-or-growth": (-3.0, "{} time constants hardly tell a drift from thermal growth; give one "
+                        "a prior"),
+}  # fmt: skip
 
 Entries = Mapping[str, Mapping[str, Any]]
 Check = dict[str, Any]
@@ -77,8 +69,8 @@ def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
             yield ValidityWarning("conditional-verdict", text, (key, other))
 
 
-def of_computation(solution: Solution) -> Iterator[Check | ValidityWarning]:
-    """Yield what tells whether draws are those of the posterior."""
+def of_fit(solution: Solution, goodness: Mapping[str, Any]) -> Iterator[Check | ValidityWarning]:
+    """Yield what tells whether draws are the posterior's, and with a p-value whether they fit."""
     failed, histories = solution.failed, solution.histories
     share = failed / max(histories, 1)
     yield check("emulators: sd of the error of log p", solution.emulator_error, "<", 0.1)
@@ -88,10 +80,6 @@ def of_computation(solution: Solution) -> Iterator[Check | ValidityWarning]:
     if share >= _FAILED:
         text = f"{failed} of {histories} histories failed, and count as improbable"
         yield ValidityWarning("histories-failed", f"{text}: {solution.reason}")
-
-
-def of_squares(goodness: Mapping[str, Any]) -> Iterator[Check | ValidityWarning]:
-    """Yield what tells whether the model fits all readings; nothing without a p-value."""
     if (p := goodness["p_value"]) is not None:
         yield check("chi2: probability of one so large", p, ">", IMPROBABLE)
     if goodness["flagged"]:
@@ -131,7 +119,7 @@ def of_series(every: Sequence[FittedSeries]) -> Iterator[Check | ValidityWarning
         if beyond := [one for one in found[code] if one[0] > limit]:
             (size, name, _), rest = max(beyond), len(beyond) - 1
             more = f" and {counted(rest, 'other')}" * bool(rest)
-            text = f"{name}{more}: {sentence.replace('{}', f'{abs(size):.2g}')}"
+            text = f"{name}{more}: {sentence.format(f'{abs(size):.2g}')}"
             tests = tuple(dict.fromkeys(test for _, _, test in beyond))
             values = {name: abs(size) for size, name, _ in beyond}
             yield ValidityWarning(code, text, (), tests, values)

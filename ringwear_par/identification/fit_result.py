@@ -200,8 +200,8 @@ def result_of(solution: Solution) -> FitResult:
     parameters = key_entries(solution, material, values, of_tests, information, correlations)
     process, squares = process_entries(solution), _goodness(solution, every, x[some])
     checked = [
-        *doubts.of_keys(parameters), *doubts.of_computation(solution), *doubts.of_squares(squares),
-        *doubts.of_series(every), *doubts.of_tests(problem, parameters, scores, information),
+        *doubts.of_keys(parameters), *doubts.of_fit(solution, squares), *doubts.of_series(every),
+        *doubts.of_tests(problem, parameters, scores, information),
         *doubts.of_sizes(parameters, process),
     ]  # fmt: skip
     found = tuple(one for one in checked if isinstance(one, ValidityWarning))

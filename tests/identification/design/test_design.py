@@ -148,7 +148,6 @@ def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     found = rw.design(tables({"time.end": [100.0, 500000.0]}, experiments=1), comm)
     assert found.content["failed"] > 0
     assert found.content["failed"] + found.content["candidates"] == 10
-    assert len(found.designs) == found.content["candidates"]
     assert "worn off lower" in found.summary()
     with pytest.raises(rw.ComputationError, match="too few"):
         rw.design(tables({"time.end": [500000.0, 600000.0]}, experiments=1), comm)
