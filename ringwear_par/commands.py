@@ -205,7 +205,7 @@ def parser() -> argparse.ArgumentParser:
         "ringwear fit fit.toml -o out/fit\n  ringwear fit fit.toml -o out/fit --dry-run",
         "solves")
     a.fit_file()
-    a.flag("--dry-run", "print the intervals to expect if the starts are true; write nothing")
+    a.flag("--dry-run", "print how well the keys would be known; write nothing")
     a.flag("--compare", "fit the laws of [compare] as well")
     a = command(
         "design", "choose the most informative next tests, from [design] of a fit file",

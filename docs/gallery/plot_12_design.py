@@ -8,7 +8,6 @@ ring wears beside its edges only, which tells little about k.
 """
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import ringwear_par as rw
 
@@ -48,16 +47,17 @@ found = rw.design(
 print(found.summary())
 
 # %%
-# The standard deviation of k that each test would give:
+# The standard deviations that the best tests would give, each of the best duration at its pressure:
 
-pressure = np.array([test.keys["load.pressure"] for test in found.candidates])
-duration = np.array([test.seconds for test in found.candidates])
+tests = sorted(found.designs, key=lambda test: test["experiments"][0]["load.pressure"])
+pressure = [test["experiments"][0]["load.pressure"] for test in tests]
 figure, axes = plt.subplots(figsize=(4.6, 3.2))
-for seconds in (40, 100, 200):
-    some = np.isclose(duration, seconds)
-    axes.plot(pressure[some], 100.0 * found.single[some, 0] / 1e-7, label=f"{seconds} s")
+axes.plot(
+    pressure, [100.0 * test["sd"]["wear.lower.k"] / 1e-7 for test in tests], "o-", label="k (%)"
+)
+axes.plot(pressure, [test["sd"]["wear.lower.p0"] for test in tests], "s--", label="p0 (MPa)")
 axes.set_yscale("log")
 axes.set_xlabel("mean pressure (MPa)")
-axes.set_ylabel("standard deviation of k (%)")
+axes.set_ylabel("standard deviation")
 axes.legend()
 plt.show()

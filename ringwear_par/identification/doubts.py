@@ -1,6 +1,7 @@
 """What was checked of a fit, and doubts about it: reasons not to trust its numbers as they are.
 
-A doubt of a kind is one sentence, however many tests or series it is about.
+Checks are entries of fit.json. A doubt of a kind is one sentence, however many tests or series it
+is about.
 """
 
 import math
@@ -14,105 +15,120 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
 
-#: sd above which readings do not belong to the others
-_FAR = 6.0
 #: p-values below which a model does not fit, tests do not agree, and residuals are no noise
 IMPROBABLE, _NO_CHANCE, _NO_NOISE = 1e-3, 0.01, 1e-4
 #: share of the largest information of a test below which a test has none
 _INFORMED = 1e-6
 #: beginnings of keys of rates: other keys are settings of the machine
 _RATES = ("wear.", "contact.friction")
-#: time constants of growth below which a record cannot distinguish growth from drift
-_ALIKE = 3.0
 #: groups up to which a scatter depends mostly on its prior
 _FEW = 2
-#: largest sd of the error of log p by emulators, and by time steps; fewest effective draws; largest
-#: share of histories that fail
-_EMULATED, _STEPPED, _EFFECTIVE, _FAILED = 0.1, 0.2, 1000.0, 0.05
+#: largest share of histories that fail
+_FAILED = 0.05
+#: doubts about series whose size is beyond a limit: minus a p-value, sd that a reading is off, and
+#: minus time constants of growth; in the place of {} is the size of the worst one
+_OF_SERIES = {
+    "residuals-trend": (-_NO_NOISE, "readings trend away from the model (p = {}): they differ from "
+                        "it by more than noise, and intervals are too narrow"),
+    "outliers": (6.0, "up to {} sd off the model: check units, and the side of limits; exclude "
+                 "leaves out an edge or a stop"),
+    "drift-or-growth": (-3.0, "{} time constants hardly tell a drift from thermal growth; give one "
+                        "a prior"),
+}  # fmt: skip
 
 Entries = Mapping[str, Mapping[str, Any]]
-Doubt = ValidityWarning | None
-Check = tuple[dict[str, Any], Doubt]
+Check = dict[str, Any]
 
 
-def check(
-    name: str, value: float, must: Literal["<", ">"], limit: float, doubt: Doubt = None
-) -> Check:
-    """Return what fit.json has of a check, and a doubt where it is not passed.
-
-    No doubt where the table of checks tells all.
-    """
+def check(name: str, value: float, must: Literal["<", ">"], limit: float) -> Check:
+    """Return what fit.json has of a check."""
     passed = bool(value < limit if must == "<" else value > limit)
     known = value if np.isfinite(value) else None
-    entry = {"name": name, "value": known, "must": must, "limit": limit, "pass": passed}
-    return entry, None if passed else doubt
+    return {"name": name, "value": known, "must": must, "limit": limit, "pass": passed}
 
 
-def of_computation(solution: Solution) -> list[Check]:
-    """Return what tells whether draws are those of the posterior."""
-    failed, settled = solution.failed / max(solution.histories, 1), np.isfinite(solution.step_error)
-    lost = ValidityWarning(
-        "histories-failed",
-        f"{solution.failed} of {solution.histories} histories failed, and count as improbable: "
-        f"{solution.reason}",
-    )
-    off = ValidityWarning(
-        "not-settled",
-        "draws still reach the ends of where emulators are known: intervals may be too narrow; "
-        "narrower bounds or priors would help",
-    )
-    step = "time steps halved: sd of the change of log p"
-    return [
-        check("emulators: sd of the error of log p", solution.emulator_error, "<", _EMULATED),
-        check(step, solution.step_error, "<", _STEPPED, None if settled else off),
-        check("share of histories that failed", failed, "<", _FAILED, lost),
-        check("effective number of draws", solution.effective, ">", _EFFECTIVE),
-    ]
+def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
+    """Yield doubts about keys that are not identified, or only by the bound of another."""
+    lost = defaultdict(list)
+    for key, entry in entries.items():
+        if entry["verdict"] == "not identified":
+            lost[entry["direction"]].append(key)
+    for words, keys in lost.items():
+        text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
+        yield ValidityWarning("not-identified", text, tuple(keys))
+    for key, entry in entries.items():
+        for other in entry.get("conditional_on", ()):
+            bound = entries[other]["bounds"][entries[other]["interval"][0] is not None]
+            text = f"{key} is identified only by the bound {bound:g} of {other}"
+            yield ValidityWarning("conditional-verdict", text, (key, other))
 
 
-def of_squares(goodness: Mapping[str, Any]) -> list[Check]:
-    """Return what tells whether the model fits all readings; nothing without a p-value."""
-    if (p := goodness["p_value"]) is None:
-        return []
-    text = (
-        f"the model does not fit: chi2 = {goodness['chi2']:.4g} of "
-        f"{goodness['degrees_of_freedom']:.4g} degrees of freedom (p = {p:.1g}); the noise is "
-        "larger than its sd, or the wear law is another"
-    )
-    doubt = ValidityWarning("does-not-fit", text)
-    return [check("chi2: probability of one so large", p, ">", IMPROBABLE, doubt)]
+def of_fit(solution: Solution, goodness: Mapping[str, Any]) -> Iterator[Check | ValidityWarning]:
+    """Yield what tells whether draws are the posterior's, and with a p-value whether they fit."""
+    failed, histories = solution.failed, solution.histories
+    share = failed / max(histories, 1)
+    yield check("emulators: sd of the error of log p", solution.emulator_error, "<", 0.1)
+    yield check("time steps halved: sd of the change of log p", solution.step_error, "<", 0.2)
+    yield check("share of histories that failed", share, "<", _FAILED)
+    yield check("effective number of draws", solution.effective, ">", 1000.0)
+    if share >= _FAILED:
+        text = f"{failed} of {histories} histories failed, and count as improbable"
+        yield ValidityWarning("histories-failed", f"{text}: {solution.reason}")
+    if (p := goodness["p_value"]) is not None:
+        yield check("chi2: probability of one so large", p, ">", IMPROBABLE)
+    if goodness["flagged"]:
+        freedom = f"{goodness['degrees_of_freedom']:.4g} degrees of freedom (p = {p:.1g})"
+        text = f"the model does not fit: chi2 = {goodness['chi2']:.4g} of {freedom}; the noise is "
+        text += "larger than its sd, or the wear law is another"
+        yield ValidityWarning("does-not-fit", text)
 
 
-def of_trends(every: Sequence[FittedSeries]) -> list[Check]:
-    """Return what tells whether the residuals of records are noise in time."""
-    found = []
+def of_series(every: Sequence[FittedSeries]) -> Iterator[Check | ValidityWarning]:
+    """Yield what tells whether residuals are noise in time, single readings are like the others.
+
+    Also a doubt about growth that may be drift.
+    """
+    found = defaultdict[str, list[tuple[float, str, str]]](list)
     for one in every:
-        if not one.series.profile and len(one.misfits):
+        series, residuals = one.series, one.drawn.residuals
+        if not series.profile and len(one.misfits):
             # noise that is given is no smaller than that
-            least = 0.0 if one.series.sd_fitted else 1.0
-            p = trend(one.misfits, len(one.series.nuisances), least)
-            found.append((-p, one.title, one.test))
-    if not found:
-        return []
-    text = (
-        "readings trend away from the model (p = {}): they differ from it by more than noise, "
-        "and intervals are too narrow"
-    )
-    doubt = _together("residuals-trend", [one for one in found if -one[0] < _NO_NOISE], text)
-    name, least = "residuals in time: least probability that they are noise", -max(found)[0]
-    return [check(name, least, ">", _NO_NOISE, *doubt)]
+            least = 0.0 if series.sd_fitted else 1.0
+            p = trend(one.misfits, len(series.nuisances), least)
+            found["residuals-trend"].append((-p, one.title, one.test))
+        holds = one.drawn.censored * residuals < 0.0  # of a limit
+        far = np.where(holds, 0.0, np.abs(residuals))
+        if not series.sd_fitted:
+            axis, unit = ("r", "mm") if series.profile else ("time", "s")
+            at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
+            found["outliers"].append((float(far.max()), one.title + at, one.test))
+        flat = {n.kind for n in series.nuisances if n.prior is None}
+        if (growth := series.growth_time) and {"drift", "thermal"} <= flat:
+            lengths = float(series.x.max() / np.median(one.nuisances[growth.kind]))
+            found["drift-or-growth"].append((-lengths, one.title, one.test))
+    if trends := found["residuals-trend"]:
+        name = "residuals in time: least probability that they are noise"
+        yield check(name, -max(trends)[0], ">", _NO_NOISE)
+    for code, (limit, sentence) in _OF_SERIES.items():
+        if beyond := [one for one in found[code] if one[0] > limit]:
+            (size, name, _), rest = max(beyond), len(beyond) - 1
+            more = f" and {counted(rest, 'other')}" * bool(rest)
+            text = f"{name}{more}: {sentence.format(f'{abs(size):.2g}')}"
+            tests = tuple(dict.fromkeys(test for _, _, test in beyond))
+            values = {name: abs(size) for size, name, _ in beyond}
+            yield ValidityWarning(code, text, (), tests, values)
 
 
 def of_tests(
     problem: Problem, entries: Entries, scores: FloatArray, information: FloatArray
-) -> list[Check]:
-    """Return what tells whether tests agree on the key of a rate on which they agree least.
+) -> Iterator[Check | ValidityWarning]:
+    """Yield what tells whether tests agree on the key of a rate on which they agree least.
 
     By ``scores_and_information`` of each, (tests, m).
     """
@@ -138,10 +154,11 @@ def of_tests(
         )
         values = {"q": q, "freedom": freedom, "scatter": scatter, "p": p, "readings": own}
         names = tuple(tests[i].name for i in informed)
-        doubt = ValidityWarning("tests-disagree", text, (key,), names, values)
-        found.append((q, check(f"tests agree on {key}: probability", p, ">", _NO_CHANCE, doubt)))
-    # one that scatters makes the others look as if they did
-    return [one for _, one in sorted(found, key=lambda one: one[0])[-1:]]
+        found.append((q, p, ValidityWarning("tests-disagree", text, (key,), names, values)))
+    if found:  # a key that scatters makes the others look as if they did
+        _, p, doubt = max(found, key=lambda one: one[0])
+        yield check(f"tests agree on {doubt.keys[0]}: probability", p, ">", _NO_CHANCE)
+        yield from [doubt] * (p <= _NO_CHANCE)
 
 
 def heterogeneity(
@@ -154,39 +171,6 @@ def heterogeneity(
         return q, 0, 0.0, 1.0
     scatter = math.sqrt(max(q - freedom, 0.0) / float((a - squares / a).sum()))
     return q, freedom, scatter, float(chi2.sf(q, freedom))
-
-
-def _together(
-    code: str, found: Sequence[tuple[float, str, str]], sentence: str
-) -> list[ValidityWarning]:
-    """Return one doubt about all that was found: how bad, what and in which test; none without.
-
-    The sentence has the size of the worst one in place of {}.
-    """
-    if not found:
-        return []
-    (size, name, _), rest = max(found), len(found) - 1
-    more = f" and {counted(rest, 'other')}" * bool(rest)
-    tests = tuple(dict.fromkeys(test for _, _, test in found))
-    values = {name: abs(size) for size, name, _ in found}
-    text = f"{name}{more}: {sentence.replace('{}', f'{abs(size):.2g}')}"
-    return [ValidityWarning(code, text, (), tests, values)]
-
-
-def of_keys(entries: Entries) -> Iterator[ValidityWarning]:
-    """Yield doubts about keys that are not identified, or only by the bound of another."""
-    lost = defaultdict(list)
-    for key, entry in entries.items():
-        if entry["verdict"] == "not identified":
-            lost[entry["direction"]].append(key)
-    for words, keys in lost.items():
-        text = f"{' and '.join(keys)} {'is' if len(keys) == 1 else 'are'} not identified: {words}"
-        yield ValidityWarning("not-identified", text, tuple(keys))
-    for key, entry in entries.items():
-        for other in entry.get("conditional_on", ()):
-            bound = entries[other]["bounds"][entries[other]["interval"][0] is not None]
-            text = f"{key} is identified only by the bound {bound:g} of {other}"
-            yield ValidityWarning("conditional-verdict", text, (key, other))
 
 
 def of_sizes(entries: Entries, process: Entries) -> Iterator[ValidityWarning]:
@@ -216,37 +200,3 @@ def of_sizes(entries: Entries, process: Entries) -> Iterator[ValidityWarning]:
                 "between two readings: intervals of their size are not right"
             )
             yield ValidityWarning("coarse-wear", text, (key,))
-
-
-def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
-    """Return doubts about single readings, and about growth that may be drift."""
-    outliers, alike = [], []
-    for one in every:
-        series, residuals = one.series, one.drawn.residuals
-        holds = one.drawn.censored * residuals < 0.0  # of a limit
-        far = np.where(holds, 0.0, np.abs(residuals))
-        if far.max() > _FAR and not series.sd_fitted:
-            axis, unit = ("r", "mm") if series.profile else ("time", "s")
-            at = f" at {axis} = {series.x[far.argmax()]:.6g} {unit}" * (series.n > 1)
-            outliers.append((float(far.max()), one.title + at, one.test))
-        flat = {n.kind for n in series.nuisances if n.prior is None}
-        if (growth := series.growth_time) and {"drift", "thermal"} <= flat:
-            lengths = float(series.x.max() / np.median(one.nuisances[growth.kind]))
-            if lengths < _ALIKE:
-                alike.append((-lengths, one.title, one.test))
-    far_off = (
-        "up to {} sd off the model: check units, and the side of limits; exclude leaves out an "
-        "edge or a stop"
-    )
-    drift = "{} time constants hardly tell a drift from thermal growth; give one a prior"
-    return _together("outliers", outliers, far_off) + _together("drift-or-growth", alike, drift)
-
-
-def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
-    """Return the doubts about units that are likely wrong, one a sentence."""
-    found = defaultdict(list)
-    for test in experiments:
-        for series in [*test.series, *(entry.series for entry in test.inputs)]:
-            for sentence in series.suspicions:
-                found[sentence].append((0.0, f"{series.name} ({test.name})", test.name))
-    return [d for text, of in found.items() for d in _together("assumed-unit", of, text)]

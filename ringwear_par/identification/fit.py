@@ -14,7 +14,7 @@ from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.series import BLOCKS, averaged
-from ringwear_par.identification.expectation import expectation
+from ringwear_par.identification.design.information import expectation
 from ringwear_par.identification.fit_result import FILES, FitResult, result_of
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.identification.record_checks import refuse_unfit
@@ -138,6 +138,6 @@ def run_fit(
     if comm.rank == 0:
         warn_of_threads(comm.size)
     into_folder(folder, FILES, comm, lambda: fit_problem(problem, comm, compare=compare))
-    if comm.rank == 0 and problem.alternatives and not compare:
-        names = ", ".join(problem.alternatives)
-        log.info("laws of [compare] were not fitted: --compare fits %s", names)
+    if comm.rank == 0 and compare != bool(problem.alternatives):
+        hint = "there are none" if compare else f"--compare fits {', '.join(problem.alternatives)}"
+        log.info("laws of [compare] were not fitted: %s", hint)

@@ -199,15 +199,12 @@ def result_of(solution: Solution) -> FitResult:
     ], axis=1)  # fmt: skip
     parameters = key_entries(solution, material, values, of_tests, information, correlations)
     process, squares = process_entries(solution), _goodness(solution, every, x[some])
-    checks = [
-        *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
+    checked = [
+        *doubts.of_keys(parameters), *doubts.of_fit(solution, squares), *doubts.of_series(every),
         *doubts.of_tests(problem, parameters, scores, information),
+        *doubts.of_sizes(parameters, process),
     ]  # fmt: skip
-    found = (
-        *doubts.of_keys(parameters), *(doubt for _, doubt in checks if doubt is not None),
-        *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
-        *doubts.of_units(problem.experiments),
-    )  # fmt: skip
+    found = tuple(one for one in checked if isinstance(one, ValidityWarning))
     draws = _draws(solution, rows, values[rows], of_tests[rows])
     content = {
         "parameters": parameters,
@@ -224,7 +221,7 @@ def result_of(solution: Solution) -> FitResult:
         "failed_histories": solution.failed,
         "steps": solution.steps,
         "draws": {"effective": solution.effective, "stored": len(draws)},
-        "checks": [check for check, _ in checks],
+        "checks": [one for one in checked if isinstance(one, dict)],
         "doubts": [doubt.to_dict() for doubt in found],
         "warnings": [doubt.text for doubt in found],
         "alternatives": {},

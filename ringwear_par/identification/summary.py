@@ -4,11 +4,11 @@ The page of a fit has the same ones. An ``outcome`` is the contents of fit.json,
 of a key.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import counted, warning_lines
@@ -16,7 +16,6 @@ from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
 
 Entry = Mapping[str, Any]
-Interval = Sequence[float | None]
 
 #: headers of the table of laws; cells are "" where there is nothing
 LAWS = ("law", "probability", "chi2", "parameters", "verdict")
@@ -26,8 +25,7 @@ _NOTES = {"at bound": ", perhaps none", "not identified": ", mostly by its prior
 _DIGITS = 3
 
 
-@dataclass(frozen=True)
-class KeyRow:
+class KeyRow(NamedTuple):
     """A number of a fitted key, in the unit that its user writes."""
 
     #: the key, or what the number is where it is another one
@@ -35,10 +33,11 @@ class KeyRow:
     #: None where it is at a bound, and the interval tells more
     estimate: float | None
     sd: float
+    #: ends of its interval, None where there is no limit
+    low: float | None
+    high: float | None
     unit: str
-    #: its ends, None where there is no limit
-    interval: Interval
-    #: verdict on the key, "" of a number that has none
+    #: on the key, "" of a number that has none
     verdict: str = ""
     #: a remark on the number
     note: str = ""
@@ -46,44 +45,40 @@ class KeyRow:
     @property
     def digits(self) -> int:
         """How many digits its numbers have."""
-        return digits_of(0.0 if self.estimate is None else self.estimate, self.interval)
+        return digits_within(self.low, self.high)
+
+    @property
+    def ends(self) -> str:
+        """The interval in words."""
+        return limits(self.low, self.high)
 
     @property
     def value(self) -> str:
         """The estimate with its unit, or the limit."""
-        if self.estimate is None:
-            return f"{limits(self.interval)} {self.unit}".rstrip()
-        return f"{number(self.estimate, self.digits)} {self.unit}".rstrip()
-
-    @property
-    def ends(self) -> str:
-        """The interval in words, "" where it is told as the value."""
-        return "" if self.estimate is None else limits(self.interval, self.digits)
+        value = self.ends if self.estimate is None else number(self.estimate, self.digits)
+        return f"{value} {self.unit}".rstrip()
 
 
-def digits_of(estimate: float, interval: Interval) -> int:
-    """Return how many digits a number and its interval are told with: no more than draws know."""
-    low, high = interval
+def digits_within(low: float | None, high: float | None) -> int:
+    """Return how many digits the numbers of an interval are told with: no more than draws know."""
     if low is None or high is None or low == high:
         return _DIGITS
-    ratio = max(abs(estimate), abs(low), abs(high)) / (high - low)
-    return max(_DIGITS, 2 + int(np.log10(ratio)))
+    return max(_DIGITS, 2 + int(np.log10(max(abs(low), abs(high)) / (high - low))))
 
 
 def number(value: float, digits: int = _DIGITS) -> str:
     """Return a number with some significant digits, without an exponent up to a million."""
-    text = f"{value:.{digits}g}"
-    return f"{float(text):.0f}" if "e" in text and 1e3 <= abs(value) < 1e6 else text
+    return f"{float(f'{value:.{digits}g}'):.{max(digits, 6)}g}"
 
 
-def limits(interval: Interval, digits: int = _DIGITS) -> str:
+def limits(low: float | None, high: float | None) -> str:
     """Return an interval in words."""
-    low, high = (None if end is None else number(end, digits) for end in interval)
-    if low is not None and high is not None:
-        return f"from {low} to {high}"
-    if low is None and high is None:
-        return "no limit within its bounds"
-    return f"more than {low}" if high is None else f"less than {high}"
+    if low is None:
+        return "no limit within its bounds" if high is None else f"less than {number(high)}"
+    if high is None:
+        return f"more than {number(low)}"
+    digits = digits_within(low, high)
+    return f"from {number(low, digits)} to {number(high, digits)}"
 
 
 def users_numbers(entry: Entry) -> tuple[Entry, str]:
@@ -98,34 +93,33 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     in_unit, unit = users_numbers(entry)
     verdict = entry["verdict"]
     estimate = None if verdict == "at bound" else in_unit["estimate"]
-    rows = [KeyRow(key, estimate, in_unit["sd"], unit, in_unit["interval"], verdict)]
+    low, high = in_unit["interval"]
+    rows = [KeyRow(key, estimate, in_unit["sd"], low, high, unit, verdict)]
     rate = entry.get("specific_wear_rate")
     if rate is not None and verdict != "not identified":
         product = f"k mu at mu = {rate['mu']:.{_DIGITS}g}" if "mu" in rate else "k"
         note = f"{product}; {rate[CUSTOMARY]:.{_DIGITS}g} {CUSTOMARY}"
-        estimate, sd, unit, ends = (rate[n] for n in ("estimate", "sd", "unit", "interval"))
-        rows.append(KeyRow("specific wear rate", estimate, sd, unit, ends, note=note))
+        estimate, sd, unit, (low, high) = (rate[n] for n in ("estimate", "sd", "unit", "interval"))
+        rows.append(KeyRow("specific wear rate", estimate, sd, low, high, unit, note=note))
     return rows
 
 
 def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     """Return the cells of the laws compared, see ``LAWS``, the most probable first."""
-    laws = {"this law": outcome, **outcome["alternatives"]}
-    evidence = {name: law.get("evidence", -np.inf) for name, law in laws.items()}
-    whole, rows = np.logaddexp.reduce([*evidence.values()]), list[tuple[str, ...]]()
-    for name in sorted(laws, key=evidence.__getitem__, reverse=True):
-        law = laws[name]
+    rows, laws = list[tuple[str, ...]](), {"this law": outcome, **outcome["alternatives"]}
+    # as if all laws were equally probable before
+    shares = softmax([law.get("evidence", -np.inf) for law in laws.values()])
+    every = zip(shares.tolist(), laws.items(), strict=True)
+    for share, (name, law) in sorted(every, key=lambda one: -one[0]):
         if "error" in law:
             rows.append((name, "", "", "", f"failed: {law['error']}"))
             continue
         first = [key_rows(key, entry)[0] for key, entry in law["parameters"].items()]
         parameters = ", ".join(f"{row.label} {row.value}" for row in first)
-        # as if all laws were equally probable before
-        probability = float(np.exp(evidence[name] - whole))
-        share = f"{probability:.2g}" if probability >= 1e-4 else "< 1e-4"
+        probability = f"{share:.2g}" if share >= 1e-4 else "< 1e-4"
         verdict = "does not fit" if law["flagged"] else "fits"
         verdict = "not tested" if law["p_value"] is None else verdict
-        rows.append((name, share, f"{law['chi2']:.4g}", parameters, verdict))
+        rows.append((name, probability, f"{law['chi2']:.4g}", parameters, verdict))
     return rows
 
 
@@ -133,13 +127,10 @@ def goodness(outcome: Entry) -> str:
     """Return chi2, its degrees of freedom and p-value in a sentence."""
     series = [entry for test in outcome["experiments"].values() for entry in test.values()]
     limited = sum(entry.get("censored", 0) for entry in series)
-    if limited == outcome["n_data"]:
-        return "all readings are limits, which have no chi2"
     of = counted(outcome["n_data"] - limited, "reading")
     of += f" and {counted(limited, 'limit')}" * bool(limited)
-    p_value = outcome["p_value"]
-    test = "no p-value: noise was fitted, or has long tails"
-    if p_value is not None:
+    test = "no p-value: readings are limits, or their noise was fitted, or has long tails"
+    if (p_value := outcome["p_value"]) is not None:
         test = f"p = {p_value:.2g}"
         test += " of the readings whose sd is given" * any("sd" in entry for entry in series)
     freedom = f"{outcome['degrees_of_freedom']:.4g} degrees of freedom"
@@ -178,8 +169,7 @@ def scatter_lines(entry: Entry, level: float) -> list[str]:
     for group, scatter in entry["scatter"].items():
         groups = PLURALS[group] if scatter["groups"] > 1 else group
         sizes.append(f"between {scatter['groups']} {groups} {_size(scatter, times, of_size)}")
-    digits = digits_of(numbers["estimate"], numbers["next"])
-    following = f"the next specimen: {limits(numbers['next'], digits)}{unit} ({100 * level:g} %)"
+    following = f"the next specimen: {limits(*numbers['next'])}{unit} ({100 * level:g} %)"
     for name, symbol in (("repeatability", "r"), ("reproducibility", "R")):
         if name in entry:
             following += f"; {name} {symbol} = {times * entry[name][symbol]:.2g}{of_size}"
@@ -224,7 +214,7 @@ def summary(name: str, outcome: Entry) -> str:
     for key, entry in parameters.items():
         row, *derived = key_rows(key, entry)
         of = " of the material" * (entry["of"] == "material")
-        text = f"{row.value}{of}  {row.ends}".rstrip()
+        text = f"{row.value}{of}  {row.ends * (row.estimate is not None)}".rstrip()
         lines.append(f"  {key.ljust(width)}  {text} ({100 * level:g} %)  {row.verdict}")
         indent = " " * (4 + width)
         lines += [f"{indent}{r.label} {r.value}  {r.ends} ({r.note})" for r in derived]

@@ -144,7 +144,7 @@ def design_panels(outcome: Mapping[str, Any]) -> list[Panel]:
     for key, scale in outcome["sd_scales"].items():
         values = np.array([design["sd"][key] for design in outcome["designs"]], dtype=float)
         bars = Bars(places, scale["factor"] * np.nan_to_num(values), "", COLOURS[0])
-        label = f"predicted sd of {quantity_label(key, scale['unit'])}"
+        label = f"sd of {quantity_label(key, scale['unit'])}"
         axes = Axis(label, zero=True), Axis("", reversed=True, categories=names)
         panels.append(Panel(*axes, bars=[bars]))
     return panels

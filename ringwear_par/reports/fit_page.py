@@ -160,12 +160,12 @@ def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
     percent, tiles = f"{100 * outcome['level']:g} %", []
     for key, entry in outcome["parameters"].items():
         row = summary.key_rows(key, entry)[0]
-        unlimited = [end is None for end in row.interval]
+        unlimited = [end is None for end in (row.low, row.high)]
         value, note = _number(row.estimate, row.digits), row.verdict
         if not any(unlimited):
-            note = f"{summary.limits(row.interval, row.digits)} ({percent})"
+            note = f"{row.ends} ({percent})"
         elif not all(unlimited):
-            value, note = summary.limits(row.interval), f"{percent}, {note}"
+            value, note = row.ends, f"{percent}, {note}"
         tiles.append(page.Tile(key, value, in_signs(row.unit), note))
     return page.Tiles([*tiles, page.checks_tile(len(outcome["doubts"]))])
 
@@ -175,7 +175,8 @@ def _estimates(parameters: Mapping[str, Any], level: float) -> page.Table:
     header += [f"{percent} from", f"{percent} to", "verdict"]
     rows = [
         [row.label, _number(row.estimate, row.digits), _number(row.sd, 2), in_signs(row.unit),
-         *(_number(end, row.digits) for end in row.interval), row.verdict or with_signs(row.note)]
+         *(_number(end, row.digits) for end in (row.low, row.high)),
+         row.verdict or with_signs(row.note)]
         for key, entry in parameters.items()
         for row in summary.key_rows(key, entry)
     ]  # fmt: skip
@@ -313,8 +314,9 @@ def _designed(outcome: Mapping[str, Any]) -> page.Section:
         page.Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
     alt = "Predicted standard deviations after the best designs"
-    panels = key_panels.design_panels(outcome)
-    blocks.append(page.Pictures([page.chart(panel, alt) for panel in panels]))
+    height = max(3.2, 0.2 * sum(len(design["experiments"]) for design in outcome["designs"]))
+    charts = [page.chart(panel, alt, height) for panel in key_panels.design_panels(outcome)]
+    blocks.append(page.Pictures(charts))
     return page.Section("The next tests", blocks)
 
 

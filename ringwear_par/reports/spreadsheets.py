@@ -112,9 +112,7 @@ def fit_sheets(folder: Path) -> list[Table]:
     InputError : it is damaged.
     """
     with stored_outcome(folder / FIT, "the outcome of ringwear fit") as outcome:
-        keys = [row for key, entry in outcome["parameters"].items() for row in key_rows(key, entry)]
-        rows = [(row.label, row.estimate, row.sd, *row.interval, row.unit, row.verdict, row.note)
-                for row in keys]  # fmt: skip
+        rows = [row for key, entry in outcome["parameters"].items() for row in key_rows(key, entry)]
         series = stored_readings(folder / READINGS, float(outcome["level"]))[0]
     header = ("key", "estimate", "sd", "from", "to", "unit", "verdict", "note")
     readings = [

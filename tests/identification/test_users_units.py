@@ -9,7 +9,7 @@ from scipy.stats import expon, uniform
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.key_estimates import in_users_unit, judged, specific_wear_rate
-from ringwear_par.identification.summary import digits_of, key_rows, limits, number
+from ringwear_par.identification.summary import digits_within, key_rows, limits, number
 
 K, P0 = "wear.lower.k", "wear.lower.p0"
 ENTRY = {"estimate": 1.3e-7, "sd": 1e-9, "interval": [1.28e-7, 1.32e-7], "verdict": "identified",
@@ -26,8 +26,8 @@ def test_keys_are_stored_in_the_users_unit(good):
     told = in_users_unit(k, ENTRY, case)
     (row,) = key_rows(K, {**ENTRY, "told": told})  # once, not in the case's unit too
     assert row.value == "0.00013 mm3/(N m) per friction energy"
-    for name in ("estimate", "sd", "interval"):
-        assert getattr(row, name) == pytest.approx(1e3 * np.array(ENTRY[name]))
+    stored = ENTRY["estimate"], ENTRY["sd"], *ENTRY["interval"]
+    assert row[1:5] == pytest.approx(1e3 * np.array(stored))
     bar = in_users_unit(p0, {"estimate": 20.0, "sd": 1.0, "interval": [None, 22.0]}, case)
     assert bar["estimate"] == pytest.approx(200.0)
     assert bar["interval"] == [None, pytest.approx(220.0)]
@@ -81,8 +81,8 @@ def test_verdicts(draws, verdict, ends):
 
 def test_numbers_as_people_read_them():
     """No more digits than draws know, no exponent up to a million."""
-    assert digits_of(1.3e-7, [1.0e-7, 1.6e-7]) == 3
-    assert digits_of(25.03, [24.9, 25.1]) == 4
+    assert digits_within(1.0e-7, 1.6e-7) == 3
+    assert digits_within(24.9, 25.1) == 4
     assert [number(v) for v in (34567.0, 1.2345e-7, 2.5)] == ["34600", "1.23e-07", "2.5"]
     words = ["less than 0.5", "more than 0.5", "no limit within its bounds"]
-    assert [limits(ends) for ends in ([None, 0.5], [0.5, None], [None, None])] == words
+    assert [limits(*ends) for ends in ([None, 0.5], [0.5, None], [None, None])] == words

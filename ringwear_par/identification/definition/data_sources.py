@@ -1,9 +1,11 @@
 """``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
 
+import logging
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,8 @@ from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Series
 from ringwear_par.identification.definition.schema import inner, keys_of, read_all, refuse
+
+log = logging.getLogger(__name__)
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
@@ -148,16 +152,20 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         x = x_scale * data.numbers(names[0], rows, hour)
     with _as_faults(reader, "file"):
         value = scale * data.numbers(names[1], rows)
-    doubts: tuple[str, ...] = ()
     if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
         x = x - x[0]
-        sentence = "after the end of the test; they are taken as times of day, that of the first"
-        doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
+        begin = f"{data.name}: the times begin with {legible(first)}, after the end of the test"
+        warn_once(f"{begin}; they are taken as times of day, that of the first reading as 0")
     series = _series(
-        kind, x, value, end, unit=unit, factor=scale, lines=data.lines[rows], file=data.name,
-        suspicions=doubts,
-    )  # fmt: skip
+        kind, x, value, end, unit=unit, factor=scale, lines=data.lines[rows], file=data.name
+    )
     return Readings(series, data, rows)
+
+
+@cache
+def warn_once(sentence: str) -> None:
+    """Warn of readings, once: those of a running test are read again and again."""
+    log.warning("%s", sentence)
 
 
 def _column_unit(

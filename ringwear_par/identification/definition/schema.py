@@ -156,8 +156,8 @@ KEYS: tuple[Key, ...] = (
         "case of all tests; experiment.set changes its keys for one test"),
     Key("fit.parameters.KEY.start", *number(-math.inf), "KEY's",
         "value, within the bounds, at which the search for a case key begins, and which a dry run "
-        "and a design take as true; KEY is a number of a wear law, contact.friction, a load, "
-        "load.omega, a modulus or a layer's thickness"),
+        "and a design take as true without a prior; KEY is a number of a wear law, "
+        "contact.friction, a load, load.omega, a modulus or a layer's thickness"),
     Key("fit.parameters.KEY.bounds", *_BOUNDS, "KEY's", "smallest and largest value of the search"),
     Key("fit.parameters.KEY.scale", *one_of("linear", "log"), "-",
         "log: the logarithm of the key is fitted", "linear"),

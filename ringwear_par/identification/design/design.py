@@ -6,6 +6,7 @@ candidate, at a few draws of what is known, tell what every combination of them 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,15 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files.folders import BARS, DESIGN, POSTERIOR, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
-from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.definition.problem import Criterion, Experiment, Problem
 from ringwear_par.identification.design.information import (
     LOADS,
     Before,
-    Candidate,
     before_tests,
     candidates,
+    in_users_units,
     informations,
+    sds_in_words,
 )
 from ringwear_par.identification.draws import read_draws
 from ringwear_par.identification.fit import into_folder
@@ -38,7 +39,6 @@ from ringwear_par.results.progress import StopSignals
 from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
-Source = Path | str | Mapping[str, Any]
 #: designs that are listed, and shown by a summary
 _LISTED, _SHOWN = 10, 5
 #: inches: width and height of a panel, height of a test of a design in bars
@@ -49,14 +49,10 @@ _CRITERIA = {"D": "smallest volume of the confidence ellipsoid (D)",
 
 @dataclass(frozen=True, eq=False)
 class DesignResult(Outcome):
-    """The result of ``design``: all tests that could be made, and the best of them."""
+    """The result of ``design``: the best of all tests that could be made."""
 
     #: of design.json
     content: Mapping[str, Any]
-    #: (c,) tests that have histories
-    candidates: tuple[Candidate, ...]
-    #: (c, m) predicted standard deviations of values after each candidate alone
-    single: FloatArray
 
     @property
     def designs(self) -> list[dict[str, Any]]:
@@ -74,31 +70,21 @@ class DesignResult(Outcome):
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
-        content, after = self.content, self.content["after"]
+        content = self.content
+        where = f"after {content['after']}" if content["after"] else "at the start"
+        valid = "without priors or an earlier fit (--after) it holds there only"
+        if content["draws"] > 1:
+            valid = f"means over {content['draws']} draws"
         lines = [
             f"{content['fit']}: {len(self.designs[0]['experiments'])} of {content['candidates']} "
             f"tests, {_CRITERIA[content['criterion']]}; measured as in {content['measured_as']}; "
             f"{content['histories']} histories",
-            f"{f'after {after}' if after else 'at the start'}: {', '.join(content['about'])}; ",
+            f"{where}: {', '.join(content['about'])}; {valid}",
         ]
-        lines[-1] += (
-            f"means over {content['draws']} draws" if content["draws"] > 1
-            else "without priors or an earlier fit (--after) it holds there only"
-        )  # fmt: skip
-        if content["scatter"]:
-            lines.append(
-                f"each test is of a new specimen, and {', '.join(content['scatter'])} differs "
-                "between specimens (how much is taken as known); numbers below are of the "
-                "material"
-            )
         rows = [content["today"], *self.designs[:_SHOWN]]
         width = max(len(row["name"]) for row in rows)
         for row in rows:
-            words = []
-            for key, scale in content["sd_scales"].items():
-                sd = row["sd"][key]
-                number = "" if sd is None else f"{scale['factor'] * sd:.2g} {scale['unit']}"
-                words.append(f"{key} sd {number}".rstrip() if number else f"{key} not identified")
+            words = sds_in_words(row["sd"], content["sd_scales"])
             words += [f"gain {row['gain']:.3g} bits"] * (row["name"] != "today")
             lines.append(f"  {row['name'].ljust(width)}  {'; '.join(words)}")
         if content["failed"]:
@@ -122,7 +108,7 @@ class DesignResult(Outcome):
 
 
 def design(
-    source: Source,
+    source: Path | str | Mapping[str, Any],
     comm: MPI.Intracomm | None = None,
     *,
     after: str | Path | None = None,
@@ -156,61 +142,54 @@ def design(
     """
     comm = MPI.COMM_WORLD if comm is None else comm
 
-    def read() -> tuple[Problem, Before, list[Candidate]]:
+    def read() -> tuple[Problem, Before, tuple[Experiment, ...]]:
         problem = read_fit(source, plans=True)
         if criterion is not None:
             problem = replace(problem, design=replace(problem.design, criterion=criterion))
         _check(problem)
         draws = None if after is None else read_draws(Path(after, POSTERIOR))
         problem = problem if draws is None else draws.ordered(problem)
-        before = before_tests(problem, draws)
-        return problem, before, candidates(problem.design, problem.experiments[0])
+        tests = candidates(problem.design, problem.experiments[0])
+        return problem, before_tests(problem, draws), tests
 
     problem, before, tests = on_first_rank(comm, read)
-    tried = tuple(test.experiment for test in tests)
     # signals are not waited for: there is nothing to keep
-    readings = Readings(replace(problem, experiments=tried, alternatives={}), comm, StopSignals())
+    readings = Readings(replace(problem, experiments=tests), comm, StopSignals())
 
     def lead() -> DesignResult:
-        information, space = informations(readings, before), problem.design
+        information = informations(readings, before)
         good = np.isfinite(information).all(axis=(1, 2, 3))
-        left = tuple(test for test, has in zip(tests, good, strict=True) if has)
+        left = [test for test, has in zip(tests, good, strict=True) if has]
         found = _designs(problem, before, left, information[good]) if left else []
         if len(found) < 2:
             raise ComputationError(
                 f"{problem.name}: design: {(~good).sum()} of {len(tests)} tests cannot be "
                 f"computed, which leaves too few: {readings.reason}"
             )
-        values, scales, about = before.values.tolist(), {}, []
-        for p, value in zip(problem.parameters, values, strict=True):
-            scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
-            about.append(f"{p.key} = {value / scale:.4g} {unit}".rstrip())
-            of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
-            scales[p.key] = dict(zip(("factor", "unit"), of_sd, strict=True))
-        content = {
-            "fit": problem.name, "criterion": space.criterion, "after": str(after or "") or None,
-            "parameters": dict(zip(problem.keys, values, strict=True)), "about": about,
-            "scatter": [p.key for p in problem.parameters if p.scatter is not None],
-            "draws": 1 if np.isfinite(before.vague).all() else len(before.draws),
+        about, scales = in_users_units(problem, before)
+        return DesignResult({
+            "fit": problem.name, "criterion": problem.design.criterion,
+            "after": None if after is None else str(after),
+            "parameters": dict(zip(problem.keys, before.values.tolist(), strict=True)),
+            "about": about, "draws": len(np.unique(before.draws, axis=0)),
             "candidates": len(left), "failed": len(tests) - len(left),
             "reason": readings.reason or None, "histories": readings.count,
             "measured_as": problem.experiments[0].name, "sd_scales": scales, "today": found[0],
             "designs": found[1:], "versions": versions(),
-        }  # fmt: skip
-        return DesignResult(content, left, before.sd_of_values(information[good]))
+        })  # fmt: skip
 
     return readings.lead(lead)
 
 
 def _designs(
-    problem: Problem, before: Before, tests: Sequence[Candidate], information: FloatArray
+    problem: Problem, before: Before, tests: Sequence[Experiment], information: FloatArray
 ) -> list[dict[str, Any]]:
     """Return no test, and the best ones by what all tell, (c, d, m, m), see ``informations``.
 
     All of one or two tests are looked at; to the best pair, further ones are added one by one.
     """
     count, every = problem.design.experiments, np.arange(len(tests))
-    seconds = np.array([test.seconds for test in tests])
+    seconds = np.array([test.case.time.end for test in tests])
     low, high = problem.unknown_bounds
 
     def scores(rows: IntArray) -> FloatArray:
@@ -226,24 +205,25 @@ def _designs(
         best = rows[scores(rows).argmax()]
         rows = np.column_stack([np.tile(best, (len(every), 1)), every])
     # designs that differ in more than durations, where anything else varies
-    kinds = [[v for key, v in t.keys.items() if key != "time.end"] or [t.seconds] for t in tests]
+    kinds = [
+        [v for key, v in t.changes.items() if key != "time.end"] or t.case.time.end for t in tests
+    ]
     chosen, found = dict[str, list[int]]({"": []}), scores(rows)
     for row in np.argsort(-found, kind="stable").tolist():
         if len(chosen) > _LISTED or found[row] == -np.inf:
             break
         chosen.setdefault(str(sorted(kinds[i] for i in rows[row])), rows[row].tolist())
-    entries = []
-    for some in chosen.values():
-        told, together = information[some].sum(axis=0), [tests[i] for i in some]
-        sd = [v if np.isfinite(v) else None for v in before.sd_of_values(told).tolist()]
-        entries.append(
-            {"name": " + ".join(test.experiment.name for test in together) or "today",
-             "experiments": [dict(test.keys) for test in together],
-             "seconds": sum(test.seconds for test in together),
-             "gain": float(before.then(told)[0] / np.log(2.0)),
-             "sd": dict(zip(problem.keys, sd, strict=True))}
-        )  # fmt: skip
-    return entries
+    return [
+        {
+            "name": " + ".join(tests[i].name for i in some) or "today",
+            "experiments": [dict(tests[i].changes) for i in some],
+            "seconds": float(seconds[some].sum()),
+            "gain": float(before.then(told)[0] / np.log(2.0)),
+            "sd": before.sds(told),
+        }
+        for some in chosen.values()
+        for told in [information[some].sum(axis=0)]
+    ]
 
 
 def _check(problem: Problem) -> None:
@@ -266,6 +246,14 @@ def _check(problem: Problem) -> None:
         )
 
 
-def run_design(source: Path, folder: Path, comm: MPI.Intracomm, **how: Any) -> None:
+def run_design(
+    source: Path,
+    folder: Path,
+    comm: MPI.Intracomm,
+    *,
+    after: Path | None = None,
+    criterion: Criterion | None = None,
+) -> None:
     """Find the next tests as ``design`` does and write them to a folder. Collective on comm."""
-    into_folder(folder, (DESIGN, BARS), comm, lambda: design(source, comm, **how))
+    job = partial(design, source, comm, after=after, criterion=criterion)
+    into_folder(folder, (DESIGN, BARS), comm, job)

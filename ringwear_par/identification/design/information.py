@@ -1,64 +1,57 @@
-"""Tests that could be made, by ``[design]``, and what each would tell of the fitted keys.
+"""What tests would tell of the fitted keys: those that could be made, and those of a dry run.
 
 The information of a test about the unknowns is J' C^-1 J: J by differences of histories, C of all
 noise, nuisances projected out. A test of a new specimen tells less of a material that scatters.
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor
+from ringwear_par.errors import ComputationError, counted
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
+    FittedParameter,
     Problem,
+    ProcessNoise,
     Series,
 )
 from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.key_estimates import VAGUE, prior_sd
+from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
 from ringwear_par.identification.noise import STUDENT, Noise, Setting
+from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.results.key_numbers import time_words
+from ringwear_par.results.progress import StopSignals
 
 #: keys of the load, of which one may vary
 LOADS = ("load.pressure", "load.force")
 #: how many values of a range are tried
-_LEVELS = {"load.omega": 3, "load.pressure": 15, "load.force": 15, "time.end": 10}
+_LEVELS = {"load.pressure": 15, "load.force": 15, "load.omega": 3, "time.end": 10}
 #: fewest readings over time of a record, which continues at its rate in a longer test
 _RECORD = 10
 #: draws at which readings are compared, and of priors from which these are chosen
 _DRAWS, _MANY = 6, 512
 
 
-class Candidate(NamedTuple):
-    """One test that could be made."""
-
-    #: of the case, those that vary
-    keys: Mapping[str, float]
-    #: its case, when it is read, and in a few words what it is
-    experiment: Experiment
-
-    @property
-    def seconds(self) -> float:
-        """How long it takes."""
-        return self.experiment.case.time.end
-
-
-def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
+def candidates(space: DesignSpace, template: Experiment) -> tuple[Experiment, ...]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values.
 
+    Their ``changes`` are the keys that vary, which their names tell in the units of the ranges.
     Records go on at their rate, with their median noise; profiles are measured at the end, that of
-    a body as its last one in the file; all else is read at its part of the test. Names have the
-    units in which ranges are written.
+    a body as its last one in the file; all else is read at its part of the test.
     """
-    usual, tests = template.case.time.end, list[Candidate]()
+    usual, tests = template.case.time.end, list[Experiment]()
     read = {s.quantity if s.profile else s.name: s for s in template.series}
     varied = [key for key in _LEVELS if key in space.ranges]
     levels = (np.unique(np.linspace(*space.ranges[key], _LEVELS[key])).tolist() for key in varied)
@@ -66,12 +59,10 @@ def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
         keys = dict(zip(varied, values, strict=True))
         if (end := keys.get("time.end", usual)) > space.time_limit:
             continue
-        named = [(key, keys[key]) for key in (*LOADS, "load.omega") if key in keys]
-        words = [_in_words(space, key, value) for key, value in (*named, ("time.end", end))]
+        name = ", ".join(_in_words(space, *entry) for entry in {**keys, "time.end": end}.items())
         series = tuple(_scaled(s, end, end / usual) for s in read.values())
-        test = Experiment(", ".join(words), template.case.replace(keys), series)
-        tests.append(Candidate(keys, test))
-    return tests
+        tests.append(Experiment(name, template.case.replace(keys), series, changes=keys))
+    return tuple(tests)
 
 
 def _in_words(space: DesignSpace, key: str, value: float) -> str:
@@ -98,9 +89,9 @@ def _scaled(series: Series, end: float, longer: float) -> Series:
 class Before:
     """What is known before the next tests."""
 
-    #: (m,) values of the keys, as they seem to be, and their derivatives by the unknowns
+    parameters: Sequence[FittedParameter]
+    #: (m,) as they seem to be
     values: FloatArray
-    slopes: FloatArray
     #: (d, m) unknowns, draws of what they may be, at which readings are compared
     draws: FloatArray
     #: (m, m) of the unknowns
@@ -110,8 +101,8 @@ class Before:
     vague: FloatArray
     #: (m,) variances of the unknowns between specimens
     scatter: FloatArray
-    #: (bodies,) mm, sizes of random wear; NaN where a share is expected
-    sizes: FloatArray
+    #: of the bodies whose wear is random, by the file or the fit
+    process: Sequence[ProcessNoise]
 
     def then(self, information: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what is known with information (..., d, m, m) at each of the draws.
@@ -125,10 +116,11 @@ class Before:
         covariance = np.linalg.inv(precision).mean(axis=-3)
         return 0.5 * gain.mean(axis=-1), np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
 
-    def sd_of_values(self, information: FloatArray) -> FloatArray:
-        """Return standard deviations (..., m) of values, infinite: not identified."""
-        _, sd = self.then(information)
-        return np.where(sd > self.vague, np.inf, sd * self.slopes)
+    def sds(self, information: FloatArray) -> dict[str, float | None]:
+        """Return the sd of the value of each key, see ``then``; None: not identified."""
+        every = zip(self.parameters, self.values.tolist(), self.then(information)[1].tolist(),
+                    self.vague.tolist(), strict=True)  # fmt: skip
+        return {p.key: None if sd > most else sd * p.slope(v) for p, v, sd, most in every}
 
 
 def before_tests(problem: Problem, draws: Draws | None) -> Before:
@@ -136,7 +128,6 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
     parameters, process = problem.parameters, problem.settings.process
     scatter = np.array([p.scatter.variance if p.scatter else 0.0 for p in parameters])
     if draws is None:
-        sizes = [np.nan if noise.size is None else noise.size for noise in process.values()]
         means = [p.start if p.prior is None else p.prior.mean for p in parameters]
         x = problem.unknowns(np.clip(means, *np.array([p.bounds for p in parameters]).T))
         sd = np.array([prior_sd(p) for p in parameters])
@@ -150,9 +141,9 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
         for j, key in enumerate(problem.keys):
             found = [np.median(tau) ** 2 for (of, _), tau in draws.scatter.items() if of == key]
             scatter[j] = sum(found) if found else scatter[j]
-        sizes = [float(np.median(draws.process.get(key, 0.0))) for key in process]
-    at = problem.values(x)
-    slopes = np.array([p.slope(v) for p, v in zip(parameters, at, strict=True)])
+        process = {
+            key: ProcessNoise(float(np.median(draws.process.get(key, 0.0)))) for key in process
+        }
     # few draws stand for all, at equal steps of their longest axis: where a posterior bends,
     # readings at its mean alone would promise too much
     material = np.clip(material, *problem.unknown_bounds)
@@ -161,7 +152,8 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
     longest = np.linalg.eigh(scaled.T @ scaled)[1][:, -1]
     places = (2 * np.arange(_DRAWS) + 1) * len(material) // (2 * _DRAWS)
     chosen = material[np.argsort(scaled @ longest, kind="stable")[places]]
-    return Before(at, slopes, chosen, covariance, vague, scatter, np.array(sizes, dtype=float))
+    processes = [*process.values()]
+    return Before(parameters, problem.values(x), chosen, covariance, vague, scatter, processes)
 
 
 def informations(readings: Readings, before: Before) -> FloatArray:
@@ -173,17 +165,18 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
     _, slopes = readings.with_slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
-    expected = [noise.expected_share for noise in problem.settings.process.values()]
-    of_sizes = np.sqrt(before.sizes / depths)
-    shares = np.where(np.isnan(of_sizes), expected, of_sizes)
+    shares = np.array([
+        noise.expected_share if noise.size is None else np.sqrt(noise.size / depth)
+        for noise, depth in zip(before.process, depths, strict=True)
+    ])  # fmt: skip
     worse = STUDENT if problem.settings.loss == "student" else 1.0
     information = np.full((len(tests), d, m, m), np.nan)
     for number, (test, slope, of_test) in enumerate(zip(tests, slopes, clocks, strict=True)):
         if not np.isfinite(slope).all():
             continue
-        sd, every = np.concatenate([series.sd for series in test.series]), range(len(test.series))
-        setting = replace(Setting.before(test), clocks=tuple(of_test), sd=sd / np.sqrt(worse))
-        noise = Noise(test, every, setting, shares)
+        setting = Setting.before(test)
+        setting = replace(setting, clocks=tuple(of_test), sd=setting.sd / np.sqrt(worse))
+        noise = Noise(test, range(len(test.series)), setting, shares)
         rows = slope[noise.rows].reshape(len(noise.rows), -1)
         times = [time.expected for one in test.series if (time := one.growth_time)] or [1.0]
         distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
@@ -192,3 +185,61 @@ def informations(readings: Readings, before: Before) -> FloatArray:
         scatter = before.scatter  # of the specimen's own values about the material's
         information[number] = np.linalg.solve(np.eye(m) + alone * scatter, alone)
     return information
+
+
+def in_users_units(problem: Problem, before: Before) -> tuple[list[str], dict[str, Any]]:
+    """Return the values of the keys in words, and of the sd of each a ``factor`` and its ``unit``.
+
+    In the units of the file; sds of values whose logarithm is fitted are in percent.
+    """
+    about, scales = [], {}
+    for p, value, sd in zip(
+        before.parameters, before.values.tolist(), np.sqrt(before.scatter).tolist(), strict=True
+    ):
+        scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
+        about.append(f"{p.key} = {value / scale:.4g} {unit}".rstrip())
+        times, of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
+        scales[p.key] = {"factor": times, "unit": of_sd}
+        if sd:
+            size = f"{times * p.slope(value) * sd:.2g} {of_sd}".rstrip()
+            about[-1] += f" of the material (specimens differ by {size})"
+    return about, scales
+
+
+def sds_in_words(sds: Mapping[str, float | None], scales: Mapping[str, Any]) -> list[str]:
+    """Return standard deviations by key, None of one that is not identified, in words."""
+    return [
+        f"{key} not identified" if sd is None
+        else f"{key} sd {scales[key]['factor'] * sd:.2g} {scales[key]['unit']}".rstrip()
+        for key, sd in sds.items()
+    ]  # fmt: skip
+
+
+def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
+    """Return what the tests of a problem would tell, in lines: a dry run. Collective on comm."""
+    readings, tests = Readings(problem, comm, StopSignals()), problem.experiments
+
+    def lead() -> str:
+        refuse_unfit(readings)
+        before = before_tests(problem, None)
+        there = replace(before, draws=problem.unknowns(before.values)[None])
+        told = informations(readings, there).sum(axis=0)
+        if not np.isfinite(told).all():
+            raise ComputationError(f"{problem.name}: no history at the start: {readings.reason}")
+        about, scales = in_users_units(problem, before)
+        lines = [
+            f"{problem.name}: {counted(sum(test.n for test in tests), 'reading')} in "
+            f"{counted(len(tests), 'experiment')}; to be expected at {', '.join(about)} (nothing "
+            "written):"
+        ]
+        covariance, sds = (
+            np.linalg.inv(np.linalg.inv(before.covariance) + told[0]),
+            before.sds(told),
+        )
+        for j, (sd, words) in enumerate(zip(sds.values(), sds_in_words(sds, scales), strict=True)):
+            lines.append(f"  {words}" + f": {direction(problem, covariance, j)}" * (sd is None))
+        if problem.alternatives:
+            lines.append(f"to be compared: {', '.join(problem.alternatives)}")
+        return "\n".join(lines)
+
+    return readings.lead(lead)
