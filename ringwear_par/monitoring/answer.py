@@ -21,7 +21,6 @@ from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.fitted_tests import with_all
 from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.likelihood import TestLikelihood
-from ringwear_par.identification.noise import sides
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.pictures.panel import Axis, Points
@@ -37,23 +36,18 @@ WINDOWS = 20
 _IMPROBABLE = 0.01 / WINDOWS
 #: degrees of freedom of an sd that is known; mm, sd of what is not read
 _KNOWN, _UNREAD = 1e9, 1e6
-#: draws by which readings are predicted
-PREDICTED = 2000
 #: times at which the sd of a key is expected
 _TIMES = 9
 #: share of its time from which on a test has ended
 _ENDED = 0.999
-#: quantities of records that are drawn; s, after which a browser loads the page anew
-_DRAWN, _REFRESH = ("penetration", "approach", "torque"), 10
+#: s, after which a browser loads the page anew
+_REFRESH = 10
 
 
 def part_of(test: Experiment, rows: BoolArray) -> Experiment:
-    """Return a test with some of its readings (n,), without series that their nuisances explain."""
+    """Return a test with some of its readings (n,)."""
     parts = [series.part(rows[place]) for series, place in records(test.series)]
-    informative = (
-        s for s in parts if s.n > sum(n.free for n in s.nuisances) * (s.censored is None)
-    )
-    return replace(test, series=tuple(informative))
+    return replace(test, series=tuple(part for part in parts if part.n))
 
 
 def answer_of(
@@ -75,7 +69,7 @@ def answer_of(
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
     # (keys, 3) before the test, and at the end of each window
     trace = [
-        np.quantile(follower.draws.values(x[:, : follower.m]), _shares(level), axis=0).T.tolist()
+        np.quantile(follower.draws.values(x[:, : follower.m]), _tails(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
     keys = {}
@@ -88,13 +82,11 @@ def answer_of(
         }  # fmt: skip
         if told := in_users_unit(parameter, entry, test.case):
             entry["told"] = told
-    rates = [n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key]
-    goal = (*rates, 0)[0]
-    key = problem.keys[goal]
-    reached = keys[key]["percent"]
+    goal = next((n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key), 0)
+    reached = keys[problem.keys[goal]]["percent"]
     time, less = time_to_goal(follower, specimen, goal, percent / reached)
-    times = [0.0, *(float(one.test.times.max()) for one in specimens)]
-    doubts = [*doubts_of(follower.draws, test.case, follower.of), *of_units([test])]
+    times = [0.0, *(float(one.likelihood.test.times.max()) for one in specimens)]
+    doubts = (*doubts_of(follower.draws, test.case, follower.of), *of_units([test]))
     texts = [doubt.text for doubt in doubts]
     if alarm is not None:
         texts.insert(
@@ -103,18 +95,19 @@ def answer_of(
             f"(p = {alarm['probability']:.1g}): a transition, a layer worn through, or the rig; "
             "all numbers are of the readings before",
         )
-    found = None
-    if depth is not None:
-        found = TimeTo.of(follower.time, penetrations(follower, specimen), depth, level)
     answer = {
         "test": test.name, "whom": follower.of, "time": now, "end": end,
         "ended": now >= _ENDED * end, "readings": test.n, "level": level, "keys": keys,
-        "depth": found and found._asdict(), "alarm": alarm,
+        "depth": None, "alarm": alarm,
         "trace": [[t, *ends[goal]] for t, ends in zip(times, trace, strict=True)],
-        "goal": {"key": key, "percent": percent, "time": time, "at_end": reached * less},
+        "goal": {"key": problem.keys[goal], "percent": percent, "time": time,
+                 "at_end": reached * less},
         "doubts": texts,
     }  # fmt: skip
-    return {**answer, "summary": _lines(answer, found)}, specimen
+    if depth is not None:
+        depths = penetrations(follower, specimen)
+        answer["depth"] = TimeTo.of(follower.time, depths, depth, level)._asdict()
+    return {**answer, "summary": _lines(answer)}, specimen
 
 
 def _followed(
@@ -122,23 +115,21 @@ def _followed(
 ) -> tuple[list[Specimen], dict[str, float] | None]:
     """Return the draws at the ends of windows and now, or until an alarm, and the alarm."""
     times, end, specimens = test.times, test.case.time.end, list[Specimen]()
-    windows = end * np.arange(1, WINDOWS + 1) / WINDOWS
-    for window in windows[windows <= times.max() * (1.0 + 1e-9)]:
-        part = part_of(test, times <= window * (1.0 + 1e-9))
-        if part.n == (specimens[-1].test.n if specimens else 0):
+    ends = end * np.arange(1, WINDOWS + 1) / WINDOWS
+    for until in (*ends[ends <= times.max() * (1.0 + 1e-9)], np.inf):
+        part = part_of(test, times <= until * (1.0 + 1e-9))
+        if part.n == (specimens[-1].likelihood.test.n if specimens else 0):
             continue
         content = pickle.dumps(part.series)
-        if content not in follower.windows:
+        if (found := follower.windows.get(content)) is None:
             later = follower.update(part)
-            p = surprise(follower, specimens[-1], later) if specimens else 1.0
-            follower.windows[content] = later, p
-        later, probability = follower.windows[content]
-        if probability < _IMPROBABLE:
-            first = times[times > specimens[-1].test.times.max()].min()
-            return specimens, {"time": float(first), "probability": probability}
-        specimens.append(later)
-    if not specimens or specimens[-1].test.n < test.n:
-        specimens.append(follower.update(test))
+            found = later, surprise(follower, specimens[-1], later) if specimens else 1.0
+        if until <= end:
+            follower.windows[content] = found
+            if found[1] < _IMPROBABLE:
+                first = times[times > specimens[-1].likelihood.test.times.max()].min()
+                return specimens, {"time": float(first), "probability": found[1]}
+        specimens.append(found[0])
     return specimens, None
 
 
@@ -149,29 +140,22 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     by chi squared of as many degrees of freedom: by the squares of recursive residuals (Brown,
     Durbin and Evans 1975). Draws are by the old readings before, and by all after.
     """
-    old, both = before.likelihood, follower.likelihood_like(before, after.test)
-    if follower.problem.settings.loss == "student":
-        middle = follower.readings(after, after.test).mean(axis=0)
-        both = TestLikelihood(after.test, both.adapted(middle, "student"), before.shares)
-    new = int((sides(after.test) == 0.0).sum() - (sides(before.test) == 0.0).sum())
-    square = _least_squares(follower, both, after) - _least_squares(follower, old, before)
-    if new == 0 or square <= 0.0:
-        return 1.0
-    fitted = (
-        max(noise.freedom - follower.m, 1.0)
-        for part, noise in zip(old.parts, old.noises, strict=True)
-        if before.test.series[part[0]].sd_fitted
-    )
-    return float(fdtrc(new, min(fitted, default=_KNOWN), square / new))
+    old, both = before.likelihood, after.likelihood
+    if follower.problem.settings.loss == "gaussian":  # whose noise does not tell outliers
+        both = follower.likelihood_like(before, after.likelihood.test)
+    square = _least_squares(follower, both, after.some) - _least_squares(follower, old, before.some)
+    readings, more = (sum(noise.freedom for noise in of.noises) for of in (old, both))
+    new = max(more - readings, 1.0)
+    fitted = (s.n - len(s.nuisances) - follower.m for s in old.test.series if s.sd_fitted)
+    return float(fdtrc(new, max(min(fitted, default=_KNOWN), 1.0), max(square, 0.0) / new))
 
 
-def _least_squares(follower: Follower, likelihood: TestLikelihood, specimen: Specimen) -> float:
-    """Return the least sum of squares of the readings of a test, and of priors, over some draws."""
-    known, some = follower.before[:, : follower.m], specimen.some(PREDICTED)
-    off = some.unknowns[:, : follower.m] - known.mean(axis=0)
-    total = ((off @ np.linalg.inv(np.atleast_2d(np.cov(known.T)))) * off).sum(axis=1)
-    readings = follower.readings(some, likelihood.test)
-    return float((total + likelihood.least_squares(readings).sum(axis=0)).min())
+def _least_squares(follower: Follower, likelihood: TestLikelihood, x: FloatArray) -> float:
+    """Return the least sum of squares of readings, and of priors, over draws (s, m + bodies)."""
+    off = x[:, : follower.m] - follower.before[:, : follower.m].mean(axis=0)
+    prior = ((off @ follower.precision) * off).sum(axis=1)
+    squares = likelihood.least_squares(follower.readings(x, likelihood.test))
+    return float((prior + squares.sum(axis=0)).min())
 
 
 def time_to_goal(
@@ -182,19 +166,21 @@ def time_to_goal(
     Records go on at their rate; histories are linear in the keys, by regression on the draws. The
     ratio is of the sd of key number ``key`` that is wished over that by the readings until now.
     """
-    test, m = specimen.test, follower.m
+    test, m = specimen.likelihood.test, follower.m
     end = test.case.time.end
     planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-    unknowns = np.insert(specimen.unknowns[:, :m], 0, 1.0, axis=1)
-    slopes = np.linalg.lstsq(unknowns, specimen.v, rcond=None)[0][1:].T
-    before = np.linalg.inv(np.atleast_2d(np.cov(follower.before[:, :m].T)))
+    x, emulator = specimen.unknowns[:, :m], follower.reading(planned)[0]
+    regressors = np.insert(x, 0, 1.0, axis=1)
+    slopes = np.linalg.lstsq(regressors, emulator.coordinates(x), rcond=None)[0][1:]
+    jacobian = (slopes @ emulator.modes).T
     at, sds = np.linspace(test.times.max(), end, _TIMES), []
     for time in at:
-        information, part = before, part_of(planned, planned.times <= time * (1.0 + 1e-9))
-        jacobian = follower.weights(part) @ (follower.columns @ slopes)
-        for noise in follower.likelihood_like(specimen, part).noises:
+        known = planned.times <= time * (1.0 + 1e-9)
+        information = follower.precision
+        for noise in follower.likelihood_like(specimen, part_of(planned, known)).noises:
             middle = len(noise.nuisances.times) // 2
-            information = information + noise.grams(jacobian[noise.rows], np.zeros(m), middle)
+            rows = jacobian[known][noise.rows]
+            information = information + noise.grams(rows, np.zeros(m), middle)
         sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
     less = np.minimum.accumulate(sds) / sds[0]
     reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
@@ -206,9 +192,10 @@ def _to_end(series: Series, end: float) -> Series:
     if series.profile or series.n < 2 or series.censored is not None:
         return series
     apart = float(np.median(np.diff(series.x)))
-    more = np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart)
-    x, sd = np.append(series.x, more), np.append(series.sd, np.full(len(more), series.sd[-1]))
-    return averaged(replace(series, x=x, value=np.zeros(len(x)), sd=sd, lines=None), end)
+    x = np.append(series.x, np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart))
+    # their values are those of the last one: only noise and times count
+    longer = series.part(np.minimum(np.arange(len(x)), series.n - 1))
+    return averaged(replace(longer, x=x), end)
 
 
 def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
@@ -216,19 +203,17 @@ def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
 
     Wear that is random goes on from what the readings tell of it, as if nothing were read later.
     """
-    time, approach = follower.time, follower.columns[follower.places["approach"]]
-    some, test = specimen.some(PREDICTED), specimen.test
-    depths: FloatArray = some.v @ (approach - approach[0]).T
-    if follower.setting.clocks:
-        later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
-        both = replace(test, series=(*test.series, later))
-        likelihood, random = follower.likelihood_like(specimen, both), np.random.default_rng(1)
-        _, worn, _, _ = with_all(likelihood, follower.readings(some, both), random)
-        depths += worn[:, test.n :] @ follower.most
+    test, time, x = specimen.likelihood.test, follower.time, specimen.some
+    later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
+    both = replace(test, series=(*test.series, later))
+    likelihood, readings = follower.likelihood_like(specimen, both), follower.readings(x, both)
+    worn = with_all(likelihood, readings, np.random.default_rng(1))[1]
+    approach = (readings + worn @ follower.most)[:, test.n :]
+    depths: FloatArray = approach - approach[:, :1]
     return depths
 
 
-def _lines(answer: Mapping[str, Any], depth: TimeTo | None) -> list[str]:
+def _lines(answer: Mapping[str, Any]) -> list[str]:
     """Return the contents of follow.json in lines of text, but for its doubts."""
     goal, end, level = answer["goal"], answer["end"], f"{100 * answer['level']:g} %"
     time = f"{time_words(answer['time'], end)} of {time_words(end, end)}"
@@ -246,8 +231,8 @@ def _lines(answer: Mapping[str, Any], depth: TimeTo | None) -> list[str]:
         left = goal["time"] - answer["time"]
         when = "reached" if left <= 0.0 else f"in {time_words(left, end)}"
     lines.append(f"  {goal['key']} to +-{goal['percent']:g} %: {when}")
-    if depth is not None:
-        lines.append(f"  {depth.line(end)}")
+    if answer["depth"] is not None:
+        lines.append(f"  {TimeTo(**answer['depth']).line(end)}")
     return lines
 
 
@@ -258,17 +243,19 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
     time, *ends = np.array(answer["trace"]).T
     axis, quantiles = Axis(f"{key} ({in_signs(unit or '1')})"), np.array(ends) / numbers["scale"]
     panels = [over_time(axis, "by the readings until then", time, end, quantiles, {level: 0.3})]
-    known = [one for one in records(specimen.test.series) if one[0].quantity in _DRAWN]
-    for series, part in known[:1]:
-        steps = specimen.some(PREDICTED).v @ follower.columns[follower.places[series.name]].T
-        middle = follower.readings(specimen, specimen.test).mean(axis=0)
-        added = specimen.likelihood.nuisance_draws(middle[None])[0][0, part]
-        symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
-        quantiles = factor * np.quantile(steps, _shares(answer["level"]), axis=0)
+    test, x = specimen.likelihood.test, specimen.some
+    middle = follower.readings(x, test).mean(axis=0)
+    added = specimen.likelihood.nuisance_draws(middle[None])[0][0]
+    for series, part in records(test.series):
+        if series.quantity not in DISPLAY_UNITS:
+            continue
+        steps = follower.emulator(x[:, : follower.m])[:, follower.places[series.name]]
+        symbol, factor = DISPLAY_UNITS[series.quantity]
+        quantiles = factor * np.quantile(steps, _tails(answer["level"]), axis=0)
         axis, words = Axis(f"{series.quantity} ({symbol})", zero=True), "histories of this specimen"
         panel = over_time(axis, words, follower.time, end, quantiles, {level: 0.3})
-        x, values = series.x / time_unit(end)[1], factor * (series.value - added)
-        points = [Points(x, values, "readings, less offset and drift")]
+        at, values = series.x / time_unit(end)[1], factor * (series.value - added[part])
+        points = [Points(at, values, "readings, less offset and drift")]
         panels.append(replace(panel, points=points))
     charts = [blocks.chart(panel, f"{panel.y.label}: {panel.title}") for panel in panels]
     summary = [blocks.Lines([*map(with_signs, answer["summary"])])]
@@ -282,6 +269,6 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
     return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
 
 
-def _shares(level: float) -> tuple[float, float, float]:
+def _tails(level: float) -> tuple[float, float, float]:
     """Return the probabilities of the ends of intervals, and of the median between them."""
     return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level

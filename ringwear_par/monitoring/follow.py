@@ -16,15 +16,14 @@ from mpi4py import MPI
 from ringwear_par.errors import InputError, legible, reason_of, warning_lines
 from ringwear_par.files.folders import FOLLOW, check_folder, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.problem import Problem, ProcessNoise
+from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.series import averaged
-from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.histories import Readings, StoppedError
 from ringwear_par.monitoring.answer import answer_of, page_of
 from ringwear_par.monitoring.follower import Follower
 from ringwear_par.parallel import on_first_rank
-from ringwear_par.prediction.predict import check_predicted, fit_draws
+from ringwear_par.prediction.predict import fit_draws
 from ringwear_par.reports.blocks import Page
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.progress import StopSignals
@@ -86,9 +85,8 @@ def run_follow(
             # histories are for all of a problem but its readings over time
             fixed = [series.x.tobytes() for series in test.series if not series.timed]
             if follower is None or frame != (problem.text, test.case.text, fixed):
-                followed, of = _of_the_fit(problem, known)
                 readings.tell(f"histories of {legible(name)}")
-                follower = Follower(known, of, followed, readings, draws, seed)
+                follower = Follower(known, problem, readings, draws, seed)
                 frame = problem.text, test.case.text, fixed
             found, specimen = answer_of(follower, problem, to, depth)
             _write(folder, found, page_of(found, follower, specimen))
@@ -146,20 +144,3 @@ def read_running(source: Path, name: str = "") -> Problem:
     (test,) = problem.experiments
     series = tuple(averaged(record, test.case.time.end) for record in test.series)
     return replace(problem, experiments=(replace(test, series=series),))
-
-
-def _of_the_fit(problem: Problem, draws: Draws) -> tuple[Problem, str]:
-    """Return the problem of a test with the random wear that the fit knows, and whose test it is.
-
-    InputError for the test of another fit.
-    """
-    (test,) = problem.experiments
-    if test.name in draws.experiments:
-        raise InputError(
-            f"{problem.name}: {legible(test.name)}: is among the tests of the fit, so that its "
-            "readings would count twice; must be followed after a fit without it"
-        )
-    of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
-    check_predicted(draws, test.case, problem.name, of)
-    process = {key: ProcessNoise() for key in draws.process}
-    return replace(problem, settings=replace(problem.settings, process=process)), of

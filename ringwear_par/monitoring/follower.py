@@ -16,17 +16,18 @@ from scipy.special import softmax
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError, legible
 from ringwear_par.identification.definition.problem import (
     Experiment,
     Loss,
     Problem,
+    ProcessNoise,
     Series,
     body_of_wear,
     records,
     reflected,
 )
-from ringwear_par.identification.draws import Draws
+from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.emulator import Box, Emulator, emulate
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import (
@@ -37,143 +38,141 @@ from ringwear_par.identification.likelihood import (
 from ringwear_par.identification.noise import Setting
 from ringwear_par.identification.readings import interpolation
 from ringwear_par.identification.setting import needs_middle, settings_at
+from ringwear_par.prediction.predict import check_predicted
 
 #: histories that polynomials are made of, for each fitted key and most; margin of their box
 _HISTORIES, _MOST_HISTORIES, _MARGIN = 128, 448, 0.1
 #: scale of a quantity over its spread, and error of polynomials in it that is small enough
 _SCALE, _CLOSE = 1e-3, 0.03
-#: share of random wear where clocks are found, which hardly depend on it
-_TYPICAL_SHARE = 0.05
 #: effective share of the draws that is enough; factor between powers that are tried
 _ENOUGH, _LESS = 0.1, 0.8
 #: width of kernels over the best one of a normal density; variance of what is known exactly
 _WIDTH, _EXACT = 0.5, 1e-12
+#: draws that are enough to predict readings
+_SOME = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """Draws (s,) of the keys of the specimen under test, by its readings."""
+    """What readings of a test tell of its specimen."""
 
-    #: (s, m + bodies) unknowns, and logarithms of the sizes of random wear
+    #: (s, m + bodies) draws of the unknowns, and of logarithms of the shares of random wear
     unknowns: FloatArray
-    #: (s, 1 + r) 1 and the coordinates of their histories
-    v: FloatArray
-    #: (bodies,) rms share of random wear
-    shares: FloatArray
-    #: of the readings, at these shares
+    #: of these readings
     likelihood: TestLikelihood
 
     @property
-    def test(self) -> Experiment:
-        """The test, with these readings."""
-        return self.likelihood.test
-
-    def some(self, count: int) -> "Specimen":
-        """Return about so many of the draws."""
-        rows = slice(None, None, max(1, len(self.v) // count))
-        return replace(self, unknowns=self.unknowns[rows], v=self.v[rows])
+    def some(self) -> FloatArray:
+        """About ``_SOME`` of the draws."""
+        return self.unknowns[:: max(1, len(self.unknowns) // _SOME)]
 
 
 class Follower:
     """What is known of the specimen of a running test, at any of its readings.
 
-    On the first rank, within ``Readings.lead``. Raises ComputationError where hardly any draw has a
-    history.
+    On the first rank, within ``Readings.lead``.
 
     Parameters
     ----------
     draws : of the fit before.
-    of : the next specimen, or one of the fit's.
     problem : of the running test.
     count, seed : number of draws, and their seed.
+
+    Raises
+    ------
+    InputError : the test of another fit, or one of this fit's.
+    ComputationError : hardly any draw has a history.
     """
 
     def __init__(
-        self,
-        draws: Draws,
-        of: str,
-        problem: Problem,
-        readings: Readings,
-        count: int,
-        seed: int,
+        self, draws: Draws, problem: Problem, readings: Readings, count: int, seed: int
     ) -> None:
-        x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
-        self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
-        #: draws at the end of a window, and how probable its readings were, by all until then
+        (test,) = problem.experiments
+        if test.name in draws.experiments:
+            raise InputError(
+                f"{problem.name}: {legible(test.name)}: is among the tests of the fit, so that its "
+                "readings would count twice; must be followed after a fit without it"
+            )
+        #: the next specimen, or one of the fit's
+        self.of = test.groups[0] if test.groups[0] in draws.specimens else NEXT
+        check_predicted(draws, test.case, problem.name, self.of)
+        process = {key: ProcessNoise() for key in draws.process}
+        problem = replace(problem, settings=replace(problem.settings, process=process))
+        self.draws, self.problem, self._seed = draws, problem, seed
+        #: draws at the end of a window, and how probable its readings were, by all until then:
+        #: up to half a second each where wear is random
         self.windows: dict[bytes, tuple[Specimen, float]] = {}
-        bodies = [body_of_wear(key) for key in problem.settings.process]
-        self.m, (test,) = x.shape[1], problem.experiments
+        bodies = [body_of_wear(key) for key in process]
         plan = _plan(test, bodies)
-        readings.problem = replace(problem, experiments=(plan,))
-        #: of the readings of the plan; how these follow random wear and calibrations of inputs
-        self.emulator, self.setting = _emulated(readings, x)
-        #: (steps,) s, ends of steps, the start included
+        #: (steps,) s, ends of steps, the start included; where readings of series are in the plan
         self.time = plan.series[0].x
-        #: readings (n, 1 + r) of the plan by 1 and the coordinates; where those of series are
-        self.columns = np.column_stack([self.emulator.mean, self.emulator.modes.T])
         self.places = {series.name: part for series, part in records(plan.series)}
-        sizes = np.log(sizes[:, [BODIES.index(body) for body in bodies]])
-        #: (s, m + bodies) before the test, see ``Specimen``
-        self.before = np.column_stack([x, sizes])[self.emulator.holds(x)]
-        self._v = self._coordinates(self.before)
-        # (bodies, 1 + r) mm, worn at the end of the test
+        readings.problem = replace(problem, experiments=(plan,))
+        x, sizes = draws.unknowns(self.of, count, np.random.default_rng(seed))
+        self.m = x.shape[1]
+        #: of the readings of the plan; how these follow random wear and calibrations of inputs
+        self.emulator, self._setting = _emulated(readings, x)
+        inside = self.emulator.holds(x)
         ends = [self.places[f"volume.{body}"].stop - 1 for body in bodies]
-        self._depths = self.columns[ends] / test.case.area
+        middle, depths = (
+            np.maximum(self.emulator(of)[:, ends] / test.case.area, 1e-300)
+            for of in (np.median(x, axis=0)[None], x[inside])
+        )
         #: (bodies,) mm, worn at the end at the middle of the draws, to which shares are relative
-        self.most = self._depths @ self._coordinates(np.median(x, axis=0)[None])[0]
+        self.most = middle[0]
+        squares = sizes[inside][:, [BODIES.index(body) for body in bodies]] * depths
+        shares = np.clip(np.sqrt(squares) / self.most, *np.exp(LOG_SHARES))
+        #: (s, m + bodies) before the test, see ``Specimen``
+        self.before = np.column_stack([x[inside], np.log(shares)])
+        #: (m, m) of the unknowns
+        self.precision = np.linalg.inv(np.atleast_2d(np.cov(x[inside].T)))
 
-    def _coordinates(self, x: FloatArray) -> FloatArray:
-        return np.insert(self.emulator.coordinates(x[:, : self.m]), 0, 1.0, axis=1)
-
-    def _shares(self, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the shares (s, bodies) of random wear: by its size, and the depth of the draw."""
-        sizes, depths = np.exp(x[:, self.m :]), np.maximum(v @ self._depths.T, 0.0)
-        return np.clip(np.sqrt(sizes * depths) / self.most, *np.exp(LOG_SHARES))
-
-    def weights(self, test: Experiment) -> FloatArray:
-        """Return what readings (n,) of a test are of those of the plan, (n, n of the plan)."""
+    def reading(self, test: Experiment, loss: Loss = "gaussian") -> tuple[Emulator, Setting]:
+        """Return the emulator of the readings of a test, and the setting before they are known."""
+        # what they are of those of the plan
+        weights = np.zeros((test.n, len(self.emulator.mean)))
         breaks = (0.0, *test.case.breakpoints, test.case.time.end)
-        weights = np.zeros((test.n, len(self.columns)))
         for series, rows in records(test.series):
             part = interpolation(self.time, series.x, breaks) if series.timed else np.eye(series.n)
             weights[rows, self.places[series.name]] = part
-        return weights
-
-    def readings(self, specimen: Specimen, test: Experiment) -> FloatArray:
-        """Return the readings (s, n) of a test by the draws of a specimen."""
-        return specimen.v @ (self.weights(test) @ self.columns).T
-
-    def _setting_of(self, test: Experiment, loss: Loss) -> Setting:
-        """Return the setting of a test before its readings are looked at."""
-        clocks, weights = [], self.weights(test)
-        for felt, share in self.setting.clocks:
+        mean, modes = weights @ self.emulator.mean, self.emulator.modes @ weights.T
+        clocks = []
+        for felt, share in self._setting.clocks:
             depth = np.interp(test.times, self.time, share[: len(self.time)])
             answer = weights @ (felt * share)
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
-        scales = tuple(weights @ scale for scale in self.setting.scales)
-        before = Setting.before(test, loss)
-        return replace(before, clocks=tuple(clocks), scales=scales)
+        scales = tuple(weights @ scale for scale in self._setting.scales)
+        setting = replace(Setting.before(test, loss), clocks=tuple(clocks), scales=scales)
+        return replace(self.emulator, mean=mean, modes=modes), setting
+
+    def readings(self, x: FloatArray, test: Experiment) -> FloatArray:
+        """Return the readings (s, n) of a test at draws (s, m + bodies)."""
+        return self.reading(test)[0](x[:, : self.m])
 
     def update(self, test: Experiment) -> Specimen:
         """Return the draws by the readings of a test."""
-        loss, shares = self.problem.settings.loss, _rms(self._shares(self.before, self._v))
-        specimen = self._weighed(TestLikelihood(test, self._setting_of(test, loss), shares))
+        loss = self.problem.settings.loss
+        emulator, setting = self.reading(test, loss)
+        specimen = self._weighed(test, emulator, setting, self.before)
         if needs_middle(self.problem):  # which these draws tell
-            middle = self.readings(specimen, test).mean(axis=0)
-            setting = specimen.likelihood.adapted(middle, loss)
-            specimen = self._weighed(TestLikelihood(test, setting, specimen.shares))
+            x = specimen.unknowns
+            setting = specimen.likelihood.adapted(emulator(x[:, : self.m]).mean(axis=0), loss)
+            specimen = self._weighed(test, emulator, setting, x)
         return specimen
 
-    def _weighed(self, likelihood: TestLikelihood) -> Specimen:
-        """Return the draws by a likelihood."""
-        both = self.weights(likelihood.test) @ self.columns
-        emulator = replace(self.emulator, mean=both[:, 0], modes=both[:, 1:].T)
+    def _weighed(
+        self, test: Experiment, emulator: Emulator, setting: Setting, typical: FloatArray
+    ) -> Specimen:
+        """Return the draws by the readings of a test, whose random wear is as of typical draws."""
+        shares = np.exp(np.median(typical[:, self.m :], axis=0))
+        likelihood = TestLikelihood(test, setting, shares)
         emulated = EmulatedLikelihood(likelihood, emulator)
         random = np.random.default_rng(self._seed + 1)
-        x, v, left = self.before, self._v, 1.0
+        x, left = self.before, 1.0
         while left:
-            log_p = emulated(v[:, 1:], self._shares(x, v))
+            coordinates = self.emulator.coordinates(x[:, : self.m])
+            log_p = emulated(coordinates, np.exp(x[:, self.m :]))
             power, weights = left, softmax(left * log_p)
             while 1.0 / (weights @ weights) < _ENOUGH * len(x):
                 power *= _LESS
@@ -181,11 +180,9 @@ class Follower:
             left -= power
             if left:
                 x = self._made_anew(x, weights, random)
-                v = self._coordinates(x)
         # each as often as it weighs
         rows = np.searchsorted(np.cumsum(weights), (np.arange(len(x)) + 0.5) / len(x))
-        x, v = x[rows], v[rows]
-        return Specimen(x, v, _rms(self._shares(x, v)), likelihood)
+        return Specimen(x[rows], likelihood)
 
     def _made_anew(
         self, x: FloatArray, weights: FloatArray, random: np.random.Generator
@@ -198,6 +195,7 @@ class Follower:
         step = random.standard_normal((count, d)) @ np.linalg.cholesky(covariance).T
         x = mean + np.sqrt(1.0 - width**2) * (x[rows] - mean) + width * step
         x[:, : self.m] = reflected(x[:, : self.m], *self.problem.unknown_bounds)
+        x[:, self.m :] = np.clip(x[:, self.m :], *LOG_SHARES)
         return x[self.emulator.holds(x[:, : self.m])]
 
     def likelihood_like(self, specimen: Specimen, test: Experiment) -> TestLikelihood:
@@ -207,31 +205,29 @@ class Follower:
             s.name: np.median(old.setting.sd[part] / s.sd) for s, part in records(old.test.series)
         }
         sd = [known.get(s.name, 1.0) * s.sd for s in test.series]
-        setting = replace(self._setting_of(test, "gaussian"), sd=np.concatenate(sd))
-        return TestLikelihood(test, setting, specimen.shares)
+        setting = replace(self.reading(test)[1], sd=np.concatenate(sd))
+        return TestLikelihood(test, setting, old.shares)
 
 
 def _plan(test: Experiment, bodies: Sequence[str]) -> Experiment:
     """Return a test whose readings over time are at all steps, its approach and volumes too."""
-    times = np.append(0.0, step_times(test))
-    quantities = ("approach", *(f"volume.{body}" for body in bodies))
-    always = [(quantity, quantity, 1.0) for quantity in quantities]
-    timed = [(s.name, s.quantity, s.density) for s in test.series if s.timed]
-    at_steps = {
-        name: Series(name, quantity, times, 0.0 * times, 0.0 * times + 1.0, density=density)
-        for name, quantity, density in (*always, *timed)
-    }
-    return replace(test, series=(*at_steps.values(), *(s for s in test.series if not s.timed)))
+    times, quantities = np.append(0.0, step_times(test)), ["approach"]
+    quantities += [f"volume.{body}" for body in bodies]
+    none, sd = np.zeros(len(times)), np.ones(len(times))
+    series = [Series(quantity, quantity, times, none, sd) for quantity in quantities]
+    series += [
+        Series(s.name, s.quantity, times, none, sd, density=s.density) if s.timed else s
+        for s in test.series
+    ]
+    return replace(test, series=tuple(series))
 
 
 def _emulated(readings: Readings, x: FloatArray) -> tuple[Emulator, Setting]:
     """Return the emulator and the setting of the one test of ``readings``, at draws (s, m)."""
     problem, (plan,) = readings.problem, readings.problem.experiments
-    bodies, count = len(problem.settings.process), min(_HISTORIES * x.shape[1], _MOST_HISTORIES)
-    settings = [Setting.before(plan)]
-    if needs_middle(problem):
-        middle, shares = np.median(x, axis=0)[None], np.full(bodies, _TYPICAL_SHARE)
-        settings = settings_at(readings, settings, middle, shares)
+    count, unread = min(_HISTORIES * x.shape[1], _MOST_HISTORIES), [Setting.before(plan)]
+    middle, no_shares = np.median(x, axis=0)[None], np.zeros(len(problem.settings.process))
+    (setting,) = settings_at(readings, unread, middle, no_shares)
     box = Box.about(x, *problem.unknown_bounds, _MARGIN)
     points = np.concatenate([box.design(count - count // 3), x[: count // 3]])
     points = points[box.holds(points)]
@@ -244,9 +240,4 @@ def _emulated(readings: Readings, x: FloatArray) -> tuple[Emulator, Setting]:
     for _, part in records(plan.series):
         sd[part] = sd[part].max() or 1.0
     emulator, _ = emulate(box, points, y, _SCALE * sd, np.ones(good.sum()), _CLOSE)
-    return emulator, settings[0]
-
-
-def _rms(shares: FloatArray) -> FloatArray:
-    rms: FloatArray = np.sqrt(np.square(shares).mean(axis=0))
-    return rms
+    return emulator, setting

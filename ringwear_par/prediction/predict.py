@@ -32,7 +32,7 @@ from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.many import results_of
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def predict(
     """
     comm = MPI.COMM_WORLD if comm is None else comm
 
-    def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
+    def read() -> tuple[Draws, Case]:
         for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
             if not isinstance(number, int) or number < least:
                 raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
@@ -92,18 +92,24 @@ def predict(
         whole = case if isinstance(case, Case) else read_case(case)
         refuse_stop(whole, name, "in a prediction")
         check_predicted(known, whole, name, of)
-        unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
-        return whole, known, known.values(unknowns), sizes
+        return known, whole
 
-    whole, known, values, sizes = on_first_rank(comm, drawn)
-    results = _histories(whole, known.keys, values, sizes, seed, comm)
-    left, name = [*results], str(fit) if isinstance(fit, Path | str) else "fit"
+    known, whole = on_first_rank(comm, read)
+    unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
+    values = known.values(unknowns)
+    found = _histories(whole, known.keys, values, sizes, np.random.default_rng([seed, 1]), comm)
+    errors = [one.error for one in found if isinstance(one, FailedResult)]
+    if len(errors) > _MOST_FAILED * draws:
+        raise ComputationError(f"{len(errors)} of {draws} draws have no history: {errors[0]}")
+    histories = [one.histories for one in found if isinstance(one, Result)]
     return Prediction(
-        {"of": of, "fit": name, "case": whole.stored_text, "seed": seed},
-        dict(zip(known.keys, known.units, strict=True)), values[left],
-        doubts_of(known, whole, of), results[left[0]].histories["time"],
-        {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
-        failed=draws - len(left),
+        {"of": of, "fit": str(fit) if isinstance(fit, Path | str) else "fit",
+         "case": whole.stored_text, "seed": seed},
+        dict(zip(known.keys, known.units, strict=True)),
+        values[[isinstance(one, Result) for one in found]],
+        doubts_of(known, whole, of), histories[0]["time"],
+        {name: np.stack([of_draw[name] for of_draw in histories]) for name in QUANTITIES},
+        failed=len(errors),
     )  # fmt: skip
 
 
@@ -115,7 +121,9 @@ def run_predict(
     *,
     overrides: Sequence[str] = (),
     depth: float | None = None,
-    **how: Any,
+    of: str = NEXT,
+    draws: int = 1000,
+    seed: int = 0,
 ) -> None:
     """Predict as ``predict`` does and write the outcome to a folder. Collective on comm.
 
@@ -126,7 +134,8 @@ def run_predict(
 
     def compute() -> Prediction:
         whole = on_first_rank(comm, lambda: read_case(case, overrides))
-        return replace(predict(fit, whole, comm=comm, **how), depth=depth)
+        found = predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm)
+        return replace(found, depth=depth)
 
     into_folder(folder, FILES, comm, compute, "predict")
 
@@ -188,31 +197,24 @@ def _histories(
     keys: Sequence[str],
     values: FloatArray,
     sizes: FloatArray,
-    seed: int,
+    random: np.random.Generator,
     comm: MPI.Intracomm,
-) -> dict[int, Result]:
-    """Return the histories at draws, by their numbers. Collective on comm.
-
-    ComputationError where many draws have none.
-    """
-    ends, output = [_step_ends(case)] * len(values), Output(profiles="last", fields=("pressure",))
+) -> list[Result | FailedResult]:
+    """Return the histories at draws of keys, and of sizes of random wear. Collective on comm."""
+    ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
     cases = [
         replace(drawn, output=output, stress=None) if isinstance(drawn, Case) else drawn
         for drawn in cases_at(case, keys, values)
     ]
-    found = results_of(cases, comm, step_times=ends)
-    if sizes.any():
-        depths = np.zeros((len(values), len(BODIES), len(ends[0])))
-        for mean, result in zip(depths, found, strict=True):
-            if isinstance(result, Result):
-                mean[:] = [result.histories[f"worn_volume_{b}"][1:] / case.area for b in BODIES]
-        paces = draw_paces(depths, sizes, np.random.default_rng([seed, 1]))
-        again = [c if isinstance(r, Result) else r.error for c, r in zip(cases, found, strict=True)]
-        found = results_of(again, comm, step_times=ends, paces=[*paces])
-    errors = [outcome.error for outcome in found if not isinstance(outcome, Result)]
-    if len(errors) > _MOST_FAILED * len(values):
-        raise ComputationError(f"{len(errors)} of {len(values)} draws have no history: {errors[0]}")
-    return {i: result for i, result in enumerate(found) if isinstance(result, Result)}
+    found = results_of(cases, comm, step_times=[ends] * len(cases))
+    if not sizes.any():
+        return found
+    depths = np.zeros((len(cases), len(BODIES), len(ends)))
+    for mean, result in zip(depths, found, strict=True):
+        if isinstance(result, Result):
+            mean[:] = [result.histories[f"worn_volume_{b}"][1:] / case.area for b in BODIES]
+    paces = draw_paces(depths, sizes, random)
+    return results_of(cases, comm, step_times=[ends] * len(cases), paces=[*paces])
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:
@@ -243,7 +245,6 @@ def _step_ends(case: Case) -> list[float]:
     end = case.time.end
     if not case.time.adaptive:
         return [*(case.time.step * np.arange(1, case.time.steps)).tolist(), end]
-    ends = step_times(Experiment("", case, ()))
-    even = end * np.arange(1, _EVEN) / _EVEN
+    ends, even = step_times(Experiment("", case, ())), end * np.arange(1, _EVEN) / _EVEN
     apart = np.abs(even[:, None] - ends).min(axis=1) > _NEAR * end / _EVEN
-    return sorted([*ends.tolist(), *even[apart].tolist()])
+    return np.union1d(ends, even[apart]).tolist()

@@ -91,7 +91,7 @@ def problem_of(path, **settings):
 def follower_of(problem, draws, count=20_000):
     with StopSignals() as signals:
         readings = Readings(problem, MPI.COMM_SELF, signals)
-        return Follower(draws, "next specimen", problem, readings, count, 0)
+        return Follower(draws, problem, readings, count, 0)
 
 
 def answered(follower, problem, depth=None):
