@@ -3,7 +3,7 @@
 Histories at draws of the fit, what is refused, and what is doubted; running tests start from these.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Output, refuse_stop
+from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.elasticity.sections import BODIES
@@ -57,6 +57,7 @@ def predict(
     of: str = "next specimen",
     draws: int = 1000,
     seed: int = 0,
+    overrides: Overrides = (),
     comm: MPI.Intracomm | None = None,
 ) -> Prediction:
     """Return histories of a case at draws of what a fit knows of its keys.
@@ -72,6 +73,7 @@ def predict(
         without; or the name of a specimen of the fit.
     draws : how many histories.
     seed : of the draws.
+    overrides : of a case that is read, see ``rw.read_case``.
 
     Returns
     -------
@@ -89,7 +91,7 @@ def predict(
             if not isinstance(number, int) or number < least:
                 raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
         known, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
-        whole = case if isinstance(case, Case) else read_case(case)
+        whole = case if isinstance(case, Case) else read_case(case, overrides)
         refuse_stop(whole, name, "in a prediction")
         check_predicted(known, whole, name, of)
         return known, whole
@@ -97,7 +99,7 @@ def predict(
     known, whole = on_first_rank(comm, read)
     unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
     values = known.values(unknowns)
-    found = _histories(whole, known.keys, values, sizes, np.random.default_rng([seed, 1]), comm)
+    found = _histories(whole, known, values, sizes, seed, comm)
     errors = [one.error for one in found if isinstance(one, FailedResult)]
     if len(errors) > _MOST_FAILED * draws:
         raise ComputationError(f"{len(errors)} of {draws} draws have no history: {errors[0]}")
@@ -119,11 +121,8 @@ def run_predict(
     folder: Path,
     comm: MPI.Intracomm,
     *,
-    overrides: Sequence[str] = (),
     depth: float | None = None,
-    of: str = NEXT,
-    draws: int = 1000,
-    seed: int = 0,
+    **how: Any,
 ) -> None:
     """Predict as ``predict`` does and write the outcome to a folder. Collective on comm.
 
@@ -133,9 +132,7 @@ def run_predict(
     """
 
     def compute() -> Prediction:
-        whole = on_first_rank(comm, lambda: read_case(case, overrides))
-        found = predict(fit, whole, of=of, draws=draws, seed=seed, comm=comm)
-        return replace(found, depth=depth)
+        return replace(predict(fit, case, comm=comm, **how), depth=depth)
 
     into_folder(folder, FILES, comm, compute, "predict")
 
@@ -143,6 +140,8 @@ def run_predict(
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
     """Return the draws of a fit, or of the fit of a folder; InputError of anything else."""
     if isinstance(fit, Path | str):
+        if Path(fit).is_file():
+            raise InputError(f"{fit}: is a file; must be the folder of a fit")
         return read_draws(Path(fit, POSTERIOR))
     if not isinstance(draws := getattr(fit, "draws", None), Draws):
         raise InputError(f"fit: a fit or its folder is needed, not {type(fit).__name__}")
@@ -154,7 +153,7 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
 
     InputError of all faults; ``name`` is what they call the case.
     """
-    faults, laws, possible = [], law_names(case), smooth_keys(case)
+    faults, missing, laws, possible = [], [], law_names(case), smooth_keys(case)
     if of not in (NEXT, MATERIAL, *draws.specimens):
         names = ", ".join(f'"{legible(n)}"' for n in dict.fromkeys(draws.specimens))
         faults.append(f'of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}')
@@ -162,8 +161,9 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
         table = key.rpartition(".")[0]
         law = draws.laws.get(table, "")
         if laws.get(table, "") != law or key not in possible:
-            whose = f' of the law "{law}"' * bool(law)
-            faults.append(f"{name}: must have {key}{whose}, as the fit")
+            missing.append(key + f' of the law "{law}"' * bool(law))
+    if missing:
+        faults.append(f"{name}: must have {', '.join(missing)}, as the fit")
     if faults:
         raise InputError(*faults)
 
@@ -178,9 +178,9 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
         )
         doubts.append(ValidityWarning("no-scatter", text))
     # NaN of what the fit does not know, or the case does not have
-    tests = [f.reduce(draws.conditions).tolist() for f in (np.fmin, np.fmax)]
-    numbers = zip(CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), *tests, strict=True)
-    for (name, unit), value, *ends in numbers:
+    tests = (f.reduce(draws.conditions) for f in (np.fmin, np.fmax))
+    rows = np.stack([conditions_of(case, draws.keys), *tests], axis=1).tolist()
+    for (name, unit), (value, *ends) in zip(CONDITIONS.items(), rows, strict=True):
         # a shorter test is a part of a longer one
         least = 0.0 if name == "distance" else ends[0] * (1.0 - _SAME)
         if value < least or value > ends[1] * (1.0 + _SAME):
@@ -193,28 +193,24 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
 
 
 def _histories(
-    case: Case,
-    keys: Sequence[str],
-    values: FloatArray,
-    sizes: FloatArray,
-    random: np.random.Generator,
-    comm: MPI.Intracomm,
+    case: Case, known: Draws, values: FloatArray, sizes: FloatArray, seed: int, comm: MPI.Intracomm
 ) -> list[Result | FailedResult]:
     """Return the histories at draws of keys, and of sizes of random wear. Collective on comm."""
-    ends, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
+    steps, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
     cases = [
         replace(drawn, output=output, stress=None) if isinstance(drawn, Case) else drawn
-        for drawn in cases_at(case, keys, values)
+        for drawn in cases_at(case, known.keys, values)
     ]
-    found = results_of(cases, comm, step_times=[ends] * len(cases))
+    ends = [steps] * len(cases)
+    found = results_of(cases, comm, step_times=ends)
     if not sizes.any():
         return found
-    depths = np.zeros((len(cases), len(BODIES), len(ends)))
+    depths = np.zeros((len(cases), len(BODIES), len(steps)))
     for mean, result in zip(depths, found, strict=True):
         if isinstance(result, Result):
             mean[:] = [result.histories[f"worn_volume_{b}"][1:] / case.area for b in BODIES]
-    paces = draw_paces(depths, sizes, random)
-    return results_of(cases, comm, step_times=[ends] * len(cases), paces=[*paces])
+    paces = draw_paces(depths, sizes, np.random.default_rng([seed, 1]))
+    return results_of(cases, comm, step_times=ends, paces=[*paces])
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:
