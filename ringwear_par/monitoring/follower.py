@@ -8,13 +8,14 @@ Methods in Practice, 197-223). All of it starts from the draws before the test, 
 before.
 """
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import fdtrc, softmax
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, legible
 from ringwear_par.identification.definition.problem import (
@@ -27,8 +28,10 @@ from ringwear_par.identification.definition.problem import (
     records,
     reflected,
 )
+from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.draws import NEXT, Draws
 from ringwear_par.identification.emulator import Box, Emulator, emulate
+from ringwear_par.identification.fitted_tests import with_all
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import (
     LOG_SHARES,
@@ -50,6 +53,14 @@ _ENOUGH, _LESS = 0.1, 0.8
 _WIDTH, _EXACT = 0.5, 1e-12
 #: draws that are enough to predict readings
 _SOME = 2000
+#: windows of a test in which readings are compared with what is expected of them, and the
+#: probability below which they are not: 1 of 100 tests without a change has an alarm
+_WINDOWS = 20
+_IMPROBABLE = 0.01 / _WINDOWS
+#: degrees of freedom of an sd that is known; mm, sd of what is not read
+_KNOWN, _UNREAD = 1e9, 1e6
+#: times at which the sd of a key is expected
+_TIMES = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +218,109 @@ class Follower:
         sd = [known.get(s.name, 1.0) * s.sd for s in test.series]
         setting = replace(self.reading(test)[1], sd=np.concatenate(sd))
         return TestLikelihood(test, setting, old.shares)
+
+    def followed(self, test: Experiment) -> tuple[list[Specimen], dict[str, float] | None]:
+        """Return the draws at the ends of windows and now, or until an alarm, and the alarm."""
+        times, end, specimens = test.times, test.case.time.end, list[Specimen]()
+        ends = end * np.arange(1, _WINDOWS + 1) / _WINDOWS
+        for until in (*ends[ends <= times.max() * (1.0 + 1e-9)], np.inf):
+            part = part_of(test, times <= until * (1.0 + 1e-9))
+            if part.n == (specimens[-1].likelihood.test.n if specimens else 0):
+                continue
+            content = pickle.dumps(part.series)
+            if (found := self.windows.get(content)) is None:
+                later = self.update(part)
+                found = later, self._surprise(specimens[-1], later) if specimens else 1.0
+            if until <= end:
+                self.windows[content] = found
+                if found[1] < _IMPROBABLE:
+                    first = times[times > specimens[-1].likelihood.test.times.max()].min()
+                    return specimens, {"time": float(first), "probability": found[1]}
+            specimens.append(found[0])
+        return specimens, None
+
+    def _surprise(self, before: Specimen, after: Specimen) -> float:
+        """Return how probable new readings are that leave the model of old ones by so much.
+
+        The least sum of squares over histories, nuisances and growth times is larger with the new
+        ones by chi squared of as many degrees of freedom: by the squares of recursive residuals
+        (Brown, Durbin and Evans 1975). Draws are by the old readings before, and by all after.
+        """
+        old, both = before.likelihood, after.likelihood
+        if self.problem.settings.loss == "gaussian":  # whose noise does not tell outliers
+            both = self.likelihood_like(before, after.likelihood.test)
+        square = self._least_squares(both, after) - self._least_squares(old, before)
+        readings, more = (sum(noise.freedom for noise in of.noises) for of in (old, both))
+        new = max(more - readings, 1.0)
+        fitted = (s.n - len(s.nuisances) - self.m for s in old.test.series if s.sd_fitted)
+        return float(fdtrc(new, max(min(fitted, default=_KNOWN), 1.0), max(square, 0.0) / new))
+
+    def _least_squares(self, likelihood: TestLikelihood, specimen: Specimen) -> float:
+        """Return the least sum of squares of readings, and of priors, over some draws."""
+        x = specimen.some
+        off = x[:, : self.m] - self.before[:, : self.m].mean(axis=0)
+        prior = ((off @ self.precision) * off).sum(axis=1)
+        squares = likelihood.least_squares(self.readings(x, likelihood.test))
+        return float((prior + squares.sum(axis=0)).min())
+
+    def time_to_goal(
+        self, specimen: Specimen, key: int, ratio: float
+    ) -> tuple[float | None, float]:
+        """Return when the sd of a key is so much less, s, or None; and how much less at the end.
+
+        Records go on at their rate; histories are linear in the keys, by regression on the draws.
+        The ratio is of the sd of key number ``key`` that is wished over that by the readings now.
+        """
+        test, m = specimen.likelihood.test, self.m
+        end = test.case.time.end
+        planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
+        x, emulator = specimen.unknowns[:, :m], self.reading(planned)[0]
+        regressors = np.insert(x, 0, 1.0, axis=1)
+        slopes = np.linalg.lstsq(regressors, emulator.coordinates(x), rcond=None)[0][1:]
+        jacobian = (slopes @ emulator.modes).T
+        at, sds = np.linspace(test.times.max(), end, _TIMES), []
+        for time in at:
+            known = planned.times <= time * (1.0 + 1e-9)
+            information = self.precision
+            for noise in self.likelihood_like(specimen, part_of(planned, known)).noises:
+                middle = len(noise.nuisances.times) // 2
+                rows = jacobian[known][noise.rows]
+                information = information + noise.grams(rows, np.zeros(m), middle)
+            sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
+        less = np.minimum.accumulate(sds) / sds[0]
+        reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
+        return reached, float(less[-1])
+
+    def penetrations(self, specimen: Specimen) -> FloatArray:
+        """Return this specimen's penetration (draws, steps) to the end of the test, mm.
+
+        Wear that is random goes on from what readings tell of it, as if nothing were read later.
+        """
+        test, time, x = specimen.likelihood.test, self.time, specimen.some
+        later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
+        both = replace(test, series=(*test.series, later))
+        likelihood, readings = self.likelihood_like(specimen, both), self.readings(x, both)
+        worn = with_all(likelihood, readings, np.random.default_rng(1))[1]
+        approach = (readings + worn @ self.most)[:, test.n :]
+        depths: FloatArray = approach - approach[:, :1]
+        return depths
+
+
+def part_of(test: Experiment, rows: BoolArray) -> Experiment:
+    """Return a test with some of its readings (n,)."""
+    parts = [series.part(rows[place]) for series, place in records(test.series)]
+    return replace(test, series=tuple(part for part in parts if part.n))
+
+
+def _to_end(series: Series, end: float) -> Series:
+    """Return a record that goes on at its rate to the end of the test; what is read once stays."""
+    if series.profile or series.n < 2 or series.censored is not None:
+        return series
+    apart = float(np.median(np.diff(series.x)))
+    x = np.append(series.x, np.arange(series.x[-1] + apart, end * (1.0 + 1e-9), apart))
+    # their values are those of the last one: only noise and times count
+    longer = series.part(np.minimum(np.arange(len(x)), series.n - 1))
+    return averaged(replace(longer, x=x), end)
 
 
 def _plan(test: Experiment, bodies: Sequence[str]) -> Experiment:
