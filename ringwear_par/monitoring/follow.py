@@ -6,11 +6,11 @@ on the readings alone, however these came.
 """
 
 import logging
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from ringwear_par.monitoring.follower import Follower, Specimen
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.pictures.panel import Axis, Points
 from ringwear_par.prediction.predict import doubts_of, fit_draws
-from ringwear_par.prediction.prediction import TimeTo, over_time
+from ringwear_par.prediction.prediction import TimeTo, over_time, tails
 from ringwear_par.reports import blocks
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.results.key_numbers import time_unit, time_words
@@ -127,9 +127,9 @@ def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Itera
         else:
             files = problem.text, problem.experiments[0].case.text, problem.hashes
             if files != seen:
-                seen = files
                 yield problem
-        time.sleep(_PAUSE)
+            seen = files
+        sleep(_PAUSE)
 
 
 def _write(folder: Path, answer: Mapping[str, Any], page: blocks.Page) -> None:
@@ -177,7 +177,7 @@ def answer_of(
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
     # (keys, 3) before the test, and at the end of each window
     trace = [
-        np.quantile(follower.draws.values(x[:, : follower.m]), _tails(level), axis=0).T.tolist()
+        np.quantile(follower.draws.values(x[:, : follower.m]), tails(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
     keys = {}
@@ -251,12 +251,10 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
     test, x = specimen.likelihood.test, specimen.some
     middle = follower.readings(x, test).mean(axis=0)
     added = specimen.likelihood.nuisance_draws(middle[None])[0][0]
-    for series, part in records(test.series):
-        if series.quantity not in DISPLAY_UNITS:
-            continue
+    for series, part in (one for one in records(test.series) if one[0].quantity in DISPLAY_UNITS):
         steps = follower.emulator(x[:, : follower.m])[:, follower.places[series.name]]
         symbol, factor = DISPLAY_UNITS[series.quantity]
-        quantiles = factor * np.quantile(steps, _tails(answer["level"]), axis=0)
+        quantiles = factor * np.quantile(steps, tails(answer["level"]), axis=0)
         axis, words = Axis(f"{series.quantity} ({symbol})", zero=True), "histories of this specimen"
         panel = over_time(axis, words, follower.time, end, quantiles, {level: 0.3})
         at, values = series.x / time_unit(end)[1], factor * (series.value - added[part])
@@ -272,8 +270,3 @@ def page_of(answer: Mapping[str, Any], follower: Follower, specimen: Specimen) -
     ]
     refresh = 0 if answer["ended"] else _REFRESH
     return blocks.Page("Running test", answer["test"], sections, refresh=refresh)
-
-
-def _tails(level: float) -> tuple[float, float, float]:
-    """Return the probabilities of the ends of intervals, and of the median between them."""
-    return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level

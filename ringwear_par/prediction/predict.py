@@ -104,8 +104,10 @@ def predict(
     if len(errors) > _MOST_FAILED * draws:
         raise ComputationError(f"{len(errors)} of {draws} draws have no history: {errors[0]}")
     histories = [one.histories for one in found if isinstance(one, Result)]
+    # without scatter, a fit knows of no other specimens than its own
+    whose = of if known.scatter or of == MATERIAL else "the specimens tested"
     return Prediction(
-        {"of": of, "fit": str(fit) if isinstance(fit, Path | str) else "fit",
+        {"of": of, "whose": whose, "fit": str(fit) if isinstance(fit, Path | str) else "fit",
          "case": whole.stored_text, "seed": seed},
         dict(zip(known.keys, known.units, strict=True)),
         values[[isinstance(one, Result) for one in found]],
