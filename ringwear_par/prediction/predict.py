@@ -44,8 +44,6 @@ _EVEN = 50
 _NEAR = 0.2
 #: largest share of the draws that may fail
 _MOST_FAILED = 0.1
-#: mean wear of a step over the size of the noise below which a step wears nothing, or almost never
-_LEAST_SHAPE = 1e-12
 #: relative difference below which conditions are the same
 _SAME = 0.02
 
@@ -229,8 +227,7 @@ def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generato
     increments = np.diff(depths, axis=-1, prepend=0.0)
     sizes = np.broadcast_to(sizes[:, :, None], increments.shape)
     shapes = np.divide(increments, sizes, out=np.zeros_like(increments), where=sizes > 0.0)
-    paces = np.ones_like(increments)
-    noisy = shapes > _LEAST_SHAPE
+    paces, noisy = np.ones_like(increments), shapes > 0.0
     paces[noisy] = random.gamma(shapes[noisy]) / shapes[noisy]
     return paces
 
