@@ -78,12 +78,8 @@ def run_follow(
     InputError : the file, the folder, or a fit of other keys.
     ComputationError : the histories.
     """
-
-    def begin() -> Problem:
-        check_folder(folder, (FOLLOW, PAGE), "follow")
-        return read_running(source, test or "")
-
-    running = on_first_rank(comm, begin)
+    on_first_rank(comm, lambda: check_folder(folder, (FOLLOW, PAGE), "follow"))
+    running = on_first_rank(comm, lambda: read_running(source, test or ""))
     name = running.experiments[0].name
     others = partial(read_fit, source, running=name, others=True)
     fit = after or fit_problem(on_first_rank(comm, others), comm)

@@ -20,7 +20,6 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, legible
 from ringwear_par.identification.definition.problem import (
     Experiment,
-    Loss,
     Problem,
     ProcessNoise,
     Series,
@@ -138,7 +137,7 @@ class Follower:
         #: (m, m) of the unknowns
         self.precision = np.linalg.inv(np.atleast_2d(np.cov(x[inside].T)))
 
-    def reading(self, test: Experiment, loss: Loss = "gaussian") -> tuple[Emulator, Setting]:
+    def reading(self, test: Experiment) -> tuple[Emulator, Setting]:
         """Return the emulator of the readings of a test, and the setting before they are known."""
         # what they are of those of the plan
         weights = np.zeros((test.n, len(self.emulator.mean)))
@@ -154,8 +153,9 @@ class Follower:
             slope = np.divide(answer, depth, out=np.zeros_like(depth), where=depth > 0.0)
             clocks.append((slope, depth))
         scales = tuple(weights @ scale for scale in self._setting.scales)
-        setting = replace(Setting.before(test, loss), clocks=tuple(clocks), scales=scales)
-        return replace(self.emulator, mean=mean, modes=modes), setting
+        setting = Setting.before(test, self.problem.settings.loss)
+        emulator = replace(self.emulator, mean=mean, modes=modes)
+        return emulator, replace(setting, clocks=tuple(clocks), scales=scales)
 
     def readings(self, x: FloatArray, test: Experiment) -> FloatArray:
         """Return the readings (s, n) of a test at draws (s, m + bodies)."""
@@ -163,22 +163,18 @@ class Follower:
 
     def update(self, test: Experiment) -> Specimen:
         """Return the draws by the readings of a test."""
-        loss = self.problem.settings.loss
-        emulator, setting = self.reading(test, loss)
-        specimen = self._weighed(test, emulator, setting, self.before)
+        specimen = self._weighed(test, self.reading(test)[1], self.before)
         if needs_middle(self.problem):  # which these draws tell
             x = specimen.unknowns
-            setting = specimen.likelihood.adapted(emulator(x[:, : self.m]).mean(axis=0), loss)
-            specimen = self._weighed(test, emulator, setting, x)
+            middle, loss = self.readings(x, test).mean(axis=0), self.problem.settings.loss
+            specimen = self._weighed(test, specimen.likelihood.adapted(middle, loss), x)
         return specimen
 
-    def _weighed(
-        self, test: Experiment, emulator: Emulator, setting: Setting, typical: FloatArray
-    ) -> Specimen:
+    def _weighed(self, test: Experiment, setting: Setting, typical: FloatArray) -> Specimen:
         """Return the draws by the readings of a test, whose random wear is as of typical draws."""
         shares = np.exp(np.median(typical[:, self.m :], axis=0))
         likelihood = TestLikelihood(test, setting, shares)
-        emulated = EmulatedLikelihood(likelihood, emulator)
+        emulated = EmulatedLikelihood(likelihood, self.reading(test)[0])
         random = np.random.default_rng(self._seed + 1)
         x, left = self.before, 1.0
         while left:

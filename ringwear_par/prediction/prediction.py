@@ -184,12 +184,7 @@ class Prediction(Outcome):
             folders.write_contents(folder, contents)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return all draws over (draw, step).
-
-        Raises
-        ------
-        InputError : xarray is not installed.
-        """
+        """Return all draws over (draw, step)."""
         return to_dataset([*self._variables()], {**self.about, **versions()}, ["time"])
 
     def _variables(self) -> Iterator[tuple[Variable, Any]]:
