@@ -122,20 +122,20 @@ class Follower:
         self.m = x.shape[1]
         #: of the readings of the plan; how these follow random wear and calibrations of inputs
         self.emulator, self._setting = _emulated(readings, x)
-        inside = self.emulator.holds(x)
         ends = [self.places[f"volume.{body}"].stop - 1 for body in bodies]
-        middle, depths = (
-            np.maximum(self.emulator(of)[:, ends] / test.case.area, 1e-300)
-            for of in (np.median(x, axis=0)[None], x[inside])
-        )
+
+        def worn(x: FloatArray) -> FloatArray:
+            return np.maximum(self.emulator(x)[:, ends] / test.case.area, 1e-300)
+
         #: (bodies,) mm, worn at the end at the middle of the draws, to which shares are relative
-        self.most = middle[0]
-        squares = sizes[inside][:, [BODIES.index(body) for body in bodies]] * depths
-        shares = np.clip(np.sqrt(squares) / self.most, *np.exp(LOG_SHARES))
+        self.most = worn(np.median(x, axis=0)[None])[0]
+        inside = self.emulator.holds(x)
+        x, sizes = x[inside], sizes[inside][:, [BODIES.index(body) for body in bodies]]
+        shares = np.log(np.sqrt(sizes * worn(x)) / self.most)
         #: (s, m + bodies) before the test, see ``Specimen``
-        self.before = np.column_stack([x[inside], np.log(shares)])
+        self.before = np.column_stack([x, np.clip(shares, *LOG_SHARES)])
         #: (m, m) of the unknowns
-        self.precision = np.linalg.inv(np.atleast_2d(np.cov(x[inside].T)))
+        self.precision = np.linalg.inv(np.atleast_2d(np.cov(x.T)))
 
     def reading(self, test: Experiment) -> tuple[Emulator, Setting]:
         """Return the emulator of the readings of a test, and the setting before they are known."""
@@ -267,21 +267,19 @@ class Follower:
         Records go on at their rate; histories are linear in the keys, by regression on the draws.
         The ratio is of the sd of key number ``key`` that is wished over that by the readings now.
         """
-        test, m = specimen.likelihood.test, self.m
+        test, x, sds = specimen.likelihood.test, specimen.unknowns[:, : self.m], []
         end = test.case.time.end
         planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-        x, emulator = specimen.unknowns[:, :m], self.reading(planned)[0]
-        regressors = np.insert(x, 0, 1.0, axis=1)
-        slopes = np.linalg.lstsq(regressors, emulator.coordinates(x), rcond=None)[0][1:]
+        emulator, none = self.reading(planned)[0], np.zeros(self.m)
+        slopes = np.linalg.lstsq(x - x.mean(axis=0), emulator.coordinates(x), rcond=None)[0]
         jacobian = (slopes @ emulator.modes).T
-        at, sds = np.linspace(test.times.max(), end, _TIMES), []
+        at = np.linspace(test.times.max(), end, _TIMES)
         for time in at:
             known = planned.times <= time * (1.0 + 1e-9)
             information = self.precision
             for noise in self.likelihood_like(specimen, part_of(planned, known)).noises:
-                middle = len(noise.nuisances.times) // 2
-                rows = jacobian[known][noise.rows]
-                information = information + noise.grams(rows, np.zeros(m), middle)
+                middle, rows = len(noise.nuisances.times) // 2, jacobian[known][noise.rows]
+                information = information + noise.grams(rows, none, middle)
             sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
         less = np.minimum.accumulate(sds) / sds[0]
         reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
