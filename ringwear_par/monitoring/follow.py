@@ -24,7 +24,7 @@ from ringwear_par.identification.definition.problem import Problem, records
 from ringwear_par.identification.definition.series import averaged
 from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.fit import fit_problem
-from ringwear_par.identification.histories import Readings, StoppedError
+from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.monitoring.follower import Follower, Specimen
@@ -100,8 +100,6 @@ def run_follow(
             _write(folder, found, page_of(found, follower, specimen))
             if once or found["ended"]:
                 return
-        if follower is None:
-            raise StoppedError("stopped before the first answer")
 
     with StopSignals() as signals:
         readings = Readings(running, comm, signals)
