@@ -3,7 +3,7 @@
 Histories at draws of the fit, what is refused, and what is doubted; running tests start from these.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Output, refuse_stop
+from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.elasticity.sections import BODIES
@@ -32,7 +32,7 @@ from ringwear_par.identification.fit import into_folder
 from ringwear_par.identification.histories import cases_at, step_times
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.prediction import FILES, QUANTITIES, Prediction
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.many import results_of
 
 if TYPE_CHECKING:
@@ -44,8 +44,6 @@ _EVEN = 50
 _NEAR = 0.2
 #: largest share of the draws that may fail
 _MOST_FAILED = 0.1
-#: mean wear of a step over the size of the noise below which a step wears nothing, or almost never
-_LEAST_SHAPE = 1e-12
 #: relative difference below which conditions are the same
 _SAME = 0.02
 
@@ -57,6 +55,7 @@ def predict(
     of: str = "next specimen",
     draws: int = 1000,
     seed: int = 0,
+    overrides: Overrides = (),
     comm: MPI.Intracomm | None = None,
 ) -> Prediction:
     """Return histories of a case at draws of what a fit knows of its keys.
@@ -72,6 +71,7 @@ def predict(
         without; or the name of a specimen of the fit.
     draws : how many histories.
     seed : of the draws.
+    overrides : of a case that is read, see ``rw.read_case``.
 
     Returns
     -------
@@ -84,26 +84,34 @@ def predict(
     """
     comm = MPI.COMM_WORLD if comm is None else comm
 
-    def drawn() -> tuple[Case, Draws, FloatArray, FloatArray]:
+    def read() -> tuple[Draws, Case]:
         for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
             if not isinstance(number, int) or number < least:
                 raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
         known, name = fit_draws(fit), str(case) if isinstance(case, Path | str) else "case"
-        whole = case if isinstance(case, Case) else read_case(case)
+        whole = case if isinstance(case, Case) else read_case(case, overrides)
         refuse_stop(whole, name, "in a prediction")
         check_predicted(known, whole, name, of)
-        unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
-        return whole, known, known.values(unknowns), sizes
+        return known, whole
 
-    whole, known, values, sizes = on_first_rank(comm, drawn)
-    results = _histories(whole, known.keys, values, sizes, seed, comm)
-    left, name = [*results], str(fit) if isinstance(fit, Path | str) else "fit"
+    known, whole = on_first_rank(comm, read)
+    unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
+    values = known.values(unknowns)
+    found = _histories(whole, known, values, sizes, seed, comm)
+    errors = [one.error for one in found if isinstance(one, FailedResult)]
+    if len(errors) > _MOST_FAILED * draws:
+        raise ComputationError(f"{len(errors)} of {draws} draws have no history: {errors[0]}")
+    histories = [one.histories for one in found if isinstance(one, Result)]
+    # without scatter, a fit knows of no other specimens than its own
+    whose = of if known.scatter or of == MATERIAL else "the specimens tested"
     return Prediction(
-        {"of": of, "fit": name, "case": whole.stored_text, "seed": seed},
-        dict(zip(known.keys, known.units, strict=True)), values[left],
-        doubts_of(known, whole, of), results[left[0]].histories["time"],
-        {q: np.stack([r.histories[q] for r in results.values()]) for q in QUANTITIES},
-        failed=draws - len(left),
+        {"of": of, "whose": whose, "fit": str(fit) if isinstance(fit, Path | str) else "fit",
+         "case": whole.stored_text, "seed": seed},
+        dict(zip(known.keys, known.units, strict=True)),
+        values[[isinstance(one, Result) for one in found]],
+        doubts_of(known, whole, of), histories[0]["time"],
+        {name: np.stack([of_draw[name] for of_draw in histories]) for name in QUANTITIES},
+        failed=len(errors),
     )  # fmt: skip
 
 
@@ -113,7 +121,6 @@ def run_predict(
     folder: Path,
     comm: MPI.Intracomm,
     *,
-    overrides: Sequence[str] = (),
     depth: float | None = None,
     **how: Any,
 ) -> None:
@@ -125,8 +132,7 @@ def run_predict(
     """
 
     def compute() -> Prediction:
-        whole = on_first_rank(comm, lambda: read_case(case, overrides))
-        return replace(predict(fit, whole, comm=comm, **how), depth=depth)
+        return replace(predict(fit, case, comm=comm, **how), depth=depth)
 
     into_folder(folder, FILES, comm, compute, "predict")
 
@@ -134,6 +140,8 @@ def run_predict(
 def fit_draws(fit: "FitResult | Path | str") -> Draws:
     """Return the draws of a fit, or of the fit of a folder; InputError of anything else."""
     if isinstance(fit, Path | str):
+        if Path(fit).is_file():
+            raise InputError(f"{fit}: is a file; must be the folder of a fit")
         return read_draws(Path(fit, POSTERIOR))
     if not isinstance(draws := getattr(fit, "draws", None), Draws):
         raise InputError(f"fit: a fit or its folder is needed, not {type(fit).__name__}")
@@ -145,7 +153,7 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
 
     InputError of all faults; ``name`` is what they call the case.
     """
-    faults, laws, possible = [], law_names(case), smooth_keys(case)
+    faults, missing, laws, possible = [], [], law_names(case), smooth_keys(case)
     if of not in (NEXT, MATERIAL, *draws.specimens):
         names = ", ".join(f'"{legible(n)}"' for n in dict.fromkeys(draws.specimens))
         faults.append(f'of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}')
@@ -153,8 +161,9 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
         table = key.rpartition(".")[0]
         law = draws.laws.get(table, "")
         if laws.get(table, "") != law or key not in possible:
-            whose = f' of the law "{law}"' * bool(law)
-            faults.append(f"{name}: must have {key}{whose}, as the fit")
+            missing.append(key + f' of the law "{law}"' * bool(law))
+    if missing:
+        faults.append(f"{name}: must have {', '.join(missing)}, as the fit")
     if faults:
         raise InputError(*faults)
 
@@ -169,9 +178,9 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
         )
         doubts.append(ValidityWarning("no-scatter", text))
     # NaN of what the fit does not know, or the case does not have
-    tests = [f.reduce(draws.conditions).tolist() for f in (np.fmin, np.fmax)]
-    numbers = zip(CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), *tests, strict=True)
-    for (name, unit), value, *ends in numbers:
+    tests = (f.reduce(draws.conditions) for f in (np.fmin, np.fmax))
+    rows = np.stack([conditions_of(case, draws.keys), *tests], axis=1).tolist()
+    for (name, unit), (value, *ends) in zip(CONDITIONS.items(), rows, strict=True):
         # a shorter test is a part of a longer one
         least = 0.0 if name == "distance" else ends[0] * (1.0 - _SAME)
         if value < least or value > ends[1] * (1.0 + _SAME):
@@ -184,35 +193,24 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
 
 
 def _histories(
-    case: Case,
-    keys: Sequence[str],
-    values: FloatArray,
-    sizes: FloatArray,
-    seed: int,
-    comm: MPI.Intracomm,
-) -> dict[int, Result]:
-    """Return the histories at draws, by their numbers. Collective on comm.
-
-    ComputationError where many draws have none.
-    """
-    ends, output = [_step_ends(case)] * len(values), Output(profiles="last", fields=("pressure",))
+    case: Case, known: Draws, values: FloatArray, sizes: FloatArray, seed: int, comm: MPI.Intracomm
+) -> list[Result | FailedResult]:
+    """Return the histories at draws of keys, and of sizes of random wear. Collective on comm."""
+    steps, output = _step_ends(case), Output(profiles="last", fields=("pressure",))
     cases = [
         replace(drawn, output=output, stress=None) if isinstance(drawn, Case) else drawn
-        for drawn in cases_at(case, keys, values)
+        for drawn in cases_at(case, known.keys, values)
     ]
+    ends = [steps] * len(cases)
     found = results_of(cases, comm, step_times=ends)
-    if sizes.any():
-        depths = np.zeros((len(values), len(BODIES), len(ends[0])))
-        for mean, result in zip(depths, found, strict=True):
-            if isinstance(result, Result):
-                mean[:] = [result.histories[f"worn_volume_{b}"][1:] / case.area for b in BODIES]
-        paces = draw_paces(depths, sizes, np.random.default_rng([seed, 1]))
-        again = [c if isinstance(r, Result) else r.error for c, r in zip(cases, found, strict=True)]
-        found = results_of(again, comm, step_times=ends, paces=[*paces])
-    errors = [outcome.error for outcome in found if not isinstance(outcome, Result)]
-    if len(errors) > _MOST_FAILED * len(values):
-        raise ComputationError(f"{len(errors)} of {len(values)} draws have no history: {errors[0]}")
-    return {i: result for i, result in enumerate(found) if isinstance(result, Result)}
+    if not sizes.any():
+        return found
+    depths = np.zeros((len(cases), len(BODIES), len(steps)))
+    for mean, result in zip(depths, found, strict=True):
+        if isinstance(result, Result):
+            mean[:] = [result.histories[f"worn_volume_{b}"][1:] / case.area for b in BODIES]
+    paces = draw_paces(depths, sizes, np.random.default_rng([seed, 1]))
+    return results_of(cases, comm, step_times=ends, paces=[*paces])
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:
@@ -229,8 +227,7 @@ def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generato
     increments = np.diff(depths, axis=-1, prepend=0.0)
     sizes = np.broadcast_to(sizes[:, :, None], increments.shape)
     shapes = np.divide(increments, sizes, out=np.zeros_like(increments), where=sizes > 0.0)
-    paces = np.ones_like(increments)
-    noisy = shapes > _LEAST_SHAPE
+    paces, noisy = np.ones_like(increments), shapes > 0.0
     paces[noisy] = random.gamma(shapes[noisy]) / shapes[noisy]
     return paces
 
@@ -243,7 +240,6 @@ def _step_ends(case: Case) -> list[float]:
     end = case.time.end
     if not case.time.adaptive:
         return [*(case.time.step * np.arange(1, case.time.steps)).tolist(), end]
-    ends = step_times(Experiment("", case, ()))
-    even = end * np.arange(1, _EVEN) / _EVEN
+    ends, even = step_times(Experiment("", case, ())), end * np.arange(1, _EVEN) / _EVEN
     apart = np.abs(even[:, None] - ends).min(axis=1) > _NEAR * end / _EVEN
-    return sorted([*ends.tolist(), *even[apart].tolist()])
+    return np.union1d(ends, even[apart]).tolist()

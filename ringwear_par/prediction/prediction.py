@@ -40,6 +40,11 @@ _CONDITIONS = ("approach", "force")
 PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
 
 
+def tails(level: float) -> tuple[float, float, float]:
+    """Return the probabilities of the ends of intervals, and of the median between them."""
+    return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level
+
+
 class TimeTo(NamedTuple):
     """When a depth is reached, s; None where that is after the end of the case."""
 
@@ -56,12 +61,10 @@ class TimeTo(NamedTuple):
         cls, time: FloatArray, depths: FloatArray, depth: float, level: float = 0.95
     ) -> "TimeTo":
         """Return when depths (draws, steps) first reach one, by lines between steps at time."""
-        deepest, tail = np.maximum.accumulate(depths, axis=1), 0.5 * (1.0 - level)
+        deepest = np.maximum.accumulate(depths, axis=1)
         times = [np.interp(depth, reached, time, right=np.inf) for reached in deepest]
-        low, median, high = (
-            None if np.isinf(t) else float(t)
-            for t in np.quantile(times, (tail, 0.5, 1.0 - tail), method="inverted_cdf")
-        )
+        ends = np.quantile(times, tails(level), method="inverted_cdf").tolist()
+        low, median, high = (None if np.isinf(end) else end for end in ends)
         return cls(median, (low, high), float(np.isfinite(times).mean()), depth)
 
     def line(self, end: float) -> str:
@@ -78,8 +81,8 @@ class TimeTo(NamedTuple):
 class Prediction(Outcome):
     """Histories of a case, one a draw."""
 
-    #: ``of`` whom it is ("next specimen", "material", a specimen), what messages call the ``fit``,
-    #: the TOML text of the ``case``, and the ``seed`` of the draws
+    #: ``of`` whom it is ("next specimen", "material", a specimen), ``whose`` it is in words, what
+    #: messages call the ``fit``, the TOML text of the ``case``, and the ``seed`` of the draws
     about: Mapping[str, Any]
     #: of the fit, with their units
     keys: Mapping[str, str]
@@ -128,8 +131,8 @@ class Prediction(Outcome):
         """Return the contents of prediction.json."""
         depth = None if self.depth is None else self.time_to(self.depth)._asdict()
         return {
-            **self.about, "whose": self._whose, "draws": len(self.values), "failed": self.failed,
-            "keys": dict(self.keys), "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
+            **self.about, "draws": len(self.values), "failed": self.failed, "keys": dict(self.keys),
+            "probabilities": [*PROBABILITIES], "time": self.time.tolist(),
             "quantiles": {
                 name: {"unit": HISTORIES[name].unit, "values": self.quantiles(name).T.tolist()}
                 for name in self.histories
@@ -150,7 +153,7 @@ class Prediction(Outcome):
             first, middle, last = (f"{factor * value:.4g}" for value in ends)
             spread = "" if first == last else f"  from {first} to {last} {unit}"
             lines.append(f"{name.replace('_', ' ')}  {middle} {unit}{spread}")
-        lines[0] += f" (95 %, {self._whose}, after {time_words(end, end)})"
+        lines[0] += f" (95 %, {self.about['whose']}, after {time_words(end, end)})"
         if self.depth is not None:
             lines.append(self.time_to(self.depth).line(end))
         failed = f"; {self.failed} more have no history" * bool(self.failed)
@@ -169,31 +172,20 @@ class Prediction(Outcome):
         InputError, ComputationError : the folder or the disk.
         """
         folder = Path(path)
+        contents = {
+            folders.BAND: lambda: picture(self.plot, str(folder / folders.BAND)),
+            folders.PREDICTION: lambda: folders.json_bytes(self.to_dict()),
+        }
         with folders.new_files(folder, FILES, "predict"):
             with atomic_hdf5(folder / folders.DRAWS) as file:
                 file.attrs.update({"software": SOFTWARE, **self.about, **versions()})
                 for variable, values in self._variables():
                     write_variable(file, variable, values)
-            contents = {
-                folders.BAND: lambda: picture(self.plot, str(folder / folders.BAND)),
-                folders.PREDICTION: lambda: folders.json_bytes(self.to_dict()),
-            }
             folders.write_contents(folder, contents)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return all draws over (draw, step).
-
-        Raises
-        ------
-        InputError : xarray is not installed.
-        """
+        """Return all draws over (draw, step)."""
         return to_dataset([*self._variables()], {**self.about, **versions()}, ["time"])
-
-    @property
-    def _whose(self) -> str:
-        # without scatter, a fit knows of no other specimens than its own
-        alone = any(doubt.code == "no-scatter" for doubt in self.doubts)
-        return "the specimens tested" if alone else str(self.about["of"])
 
     def _variables(self) -> Iterator[tuple[Variable, Any]]:
         """Yield all variables with their values, the dimensions first."""

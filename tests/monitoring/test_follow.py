@@ -26,9 +26,8 @@ from parts import (
 from scipy.special import logsumexp
 
 import ringwear_par as rw
-from ringwear_par.monitoring.answer import answer_of, part_of, penetrations
-from ringwear_par.monitoring.follow import read_running, run_follow
-from ringwear_par.monitoring.follower import Follower
+from ringwear_par.monitoring.follow import answer_of, read_running, run_follow
+from ringwear_par.monitoring.follower import Follower, part_of
 
 pytestmark = pytest.mark.slow
 
@@ -91,7 +90,7 @@ def problem_of(path, **settings):
 def follower_of(problem, draws, count=20_000):
     with StopSignals() as signals:
         readings = Readings(problem, MPI.COMM_SELF, signals)
-        return Follower(draws, "next specimen", problem, readings, count, 0)
+        return Follower(draws, problem, readings, count, 0)
 
 
 def answered(follower, problem, depth=None):
@@ -181,7 +180,7 @@ def test_random_wear_is_as_on_a_grid(folder):
         if size < 1e-4:  # where it is all but normal
             found = follower.update(test)
             check(quantiles_of_draws(found), quantiles_of(*exactly(problem, TRUE_K, size)))
-        depths = penetrations(follower, follower.update(part_of(test, test.times <= 60.0)))
+        depths = follower.penetrations(follower.update(part_of(test, test.times <= 60.0)))
         life = TimeTo.of(follower.time, depths, 6.5e-3, 0.6)
         reached.append([life.interval[0], life.median, life.interval[1] or np.inf])
     assert 60.0 < reached[2][0] < reached[2][1] < END

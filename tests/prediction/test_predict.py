@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from drawn import SD, TAU, K, draws_of, fit_of, save_fit
+from drawn import P0, SD, TAU, K, draws_of, fit_of, save_fit
 from laboratory import CASE
 from mpi4py import MPI
 from parts import TimeTo, draw_paces, main
@@ -150,7 +150,8 @@ def test_what_is_refused(archard, threshold, tmp_path):
         (tmp_path, archard, {}, "draws.nc"), (broken, archard, {}, "draws of ringwear fit"),
         (fit, tmp_path / "no.toml", {}, "no.toml"), (fit, threshold, {}, 'law "archard"'),
         (fit, archard, {"of": "S9"}, '"S1", "S2"'),
-        (without, archard, {}, f'must have {K} of the law "threshold"'),
+        (without, archard, {}, f'must have {K} of the law "threshold", {P0} of the law "thre'),
+        (broken / "fit.json", archard, {}, "fit.json: is a file; must be the folder of a fit"),
         (fit, archard, {"draws": 0}, "draws"), (fit, archard, {"seed": -1}, "seed"),
     ):  # fmt: skip
         with pytest.raises(rw.InputError, match=re.escape(said)):
@@ -160,7 +161,7 @@ def test_what_is_refused(archard, threshold, tmp_path):
         found.quantiles("depth")
 
 
-def test_the_command(file, threshold, tmp_path, capsys):
+def test_the_command(file, threshold, archard, tmp_path, capsys):
     folder = save_fit(tmp_path / "fit", fit_of(draws_of(threshold, p0=np.zeros(200), tau=TAU)))
     out = tmp_path / "out"
     words = ["predict", str(folder), str(file), "--draws", "4", "--set", "load.pressure=60", "-o"]
@@ -178,3 +179,6 @@ def test_the_command(file, threshold, tmp_path, capsys):
     assert "Prediction, 1 figure" in rw.report(out, tmp_path / "page.html")
     assert main([*words, str(folder)]) == 2
     assert "fit.json" in capsys.readouterr().err
+    words[1] = str(save_fit(tmp_path / "archard", fit_of(draws_of(archard))))
+    assert main([*words, str(out)]) == 2
+    assert f"{file}: must have {K} of" in capsys.readouterr().err
