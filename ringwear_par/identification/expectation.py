@@ -7,8 +7,9 @@ from mpi4py import MPI
 from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ComputationError, counted, warning_lines
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
+from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.design.information import before_tests, informations
 from ringwear_par.identification.doubts import of_units
@@ -54,7 +55,7 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
     width, bounds = max(map(len, problem.keys)), np.array(problem.unknown_bounds)
     for j, parameter in enumerate(problem.parameters):
         sd, scale = float(np.sqrt(covariance[j, j])), unit_scale(parameter)
-        unit = parameter.unit or unit_of_key(problem, parameter.key).strip()
+        unit = parameter.unit or unit_of(parameter.key)
         at, (low, high) = parameter.unknown(parameter.start), bounds[:, j]
         ends = [at - reach * sd, at + reach * sd]
         interval = [parameter.value(end) / scale if low < end < high else None for end in ends]

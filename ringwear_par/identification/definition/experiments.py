@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
@@ -23,7 +21,7 @@ from ringwear_par.identification.definition.problem import (
     FittedParameter,
     Series,
 )
-from ringwear_par.identification.definition.schema import tables_in
+from ringwear_par.identification.definition.schema import reader_of, tables_in
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -80,16 +78,19 @@ class Cases:
 
 
 def read_experiments(
-    name: str, readers: Sequence[TableReader], cases: Cases, files: FileStore
+    name: str, tests: Mapping[str, Any], cases: Cases, files: FileStore
 ) -> tuple[Experiment, ...]:
     """Return all experiments of a fit file; what is wrong with them is added to the faults.
 
     Parameters
     ----------
-    name : of the fit file.
-    readers : of the tables of the experiments.
+    name : of the fit file, or of another law in it.
+    tests : tables of the experiments, by where they stand.
     """
-    every = [_experiment(reader, cases, files) for reader in readers]
+    every = [
+        _experiment(reader_of("experiment", f"{name}: {where}", table, cases.faults), cases, files)
+        for where, table in tests.items()
+    ]
     experiments = tuple(experiment for experiment in every if experiment is not None)
     _refuse_twins(name, experiments, cases.faults)
     return experiments
@@ -115,52 +116,24 @@ def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experime
     if case is None:
         return None
     groups = (specimen or name, batch or "", lab or "")
-    return Experiment(name, case, _named(series), groups, inputs, changes)
-
-
-def under_law(name: str, tests: Sequence[Experiment], cases: Cases) -> tuple[Experiment, ...]:
-    """Return tests under another law, as far as it is right; faults are added to its own.
-
-    Parameters
-    ----------
-    name : of the law in messages.
-    """
-    every = []
-    for test in tests:
-        place = f'{name}: experiment "{legible(test.name)}"'
-        case = cases.of(place, test.changes, [entry.key for entry in test.inputs])
-        if case is not None:
-            for entry in test.inputs:
-                case = entry.applied(case)
-            every.append(replace(test, case=case))
-    return tuple(every)
+    return Experiment(name, case, _named(series), groups, inputs)
 
 
 def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
-    """Refuse experiments of one name, and the same lines of a file in two series."""
-    names, seen = set[str](), list[tuple[str, Series]]()
-    for experiment in experiments:
-        place = f'{name}: experiment "{legible(experiment.name)}"'
-        if experiment.name in names:
-            sentence = f"{place}: is there twice; names must differ"
-            faults.append(Fault(sentence, "experiment.name", "conflict"))
-            continue
-        names.add(experiment.name)
-        for series in experiment.series:
-            faults += [
-                f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                f'"{legible(owner)}"; must be read once'
-                for owner, earlier in seen if _same_readings(series, earlier)
-            ]  # fmt: skip
-            seen.append((experiment.name, series))
-
-
-def _same_readings(a: Series, b: Series) -> bool:
-    """Tell whether two series share lines of a file, with the same readings."""
-    if a.lines is None or b.lines is None or (a.file, a.quantity) != (b.file, b.quantity):
-        return False
-    _, first, second = np.intersect1d(a.lines, b.lines, return_indices=True)
-    return bool(len(first)) and np.array_equal(a.value[first], b.value[second])
+    """Refuse experiments of one name, and readings of a file that are there twice."""
+    owners = dict[Any, str]()
+    for name_of_test, count in Counter(experiment.name for experiment in experiments).items():
+        if count > 1:
+            sentence = f'{name}: experiment "{legible(name_of_test)}": is there twice'
+            faults.append(Fault(f"{sentence}; names must differ", "experiment.name", "conflict"))
+    for owner, series in ((e.name, s) for e in experiments for s in e.series if s.file):
+        content = series.file, series.quantity, series.x.tobytes(), series.value.tobytes()
+        if content in owners:
+            faults.append(
+                f'{name}: experiment "{legible(owner)}": {series.quantity}: {series.file} has the '
+                f'readings of experiment "{legible(owners[content])}"; must be read once'
+            )
+        owners[content] = owner
 
 
 def _named(series: Sequence[Series]) -> tuple[Series, ...]:

@@ -2,13 +2,18 @@
 
 import logging
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
+from ringwear_par.cases.files.faults import Origin
+from ringwear_par.cases.files.key_values import read_values
 from ringwear_par.cases.files.keys import (
     base_keys,
     changes_of,
@@ -20,18 +25,13 @@ from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import Fault, InputError, legible
-from ringwear_par.identification.definition.experiments import (
-    Cases,
-    read_experiments,
-    under_law,
-)
+from ringwear_par.identification.definition.experiments import Cases, read_experiments
 from ringwear_par.identification.definition.fitted_parameters import read_parameters
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
     FittedParameter,
     Problem,
-    Series,
     Settings,
 )
 from ringwear_par.identification.definition.scatter import (
@@ -43,8 +43,6 @@ from ringwear_par.identification.definition.schema import (
     inner,
     keys_of,
     read_all,
-    reader_of,
-    tables_in,
 )
 
 log = logging.getLogger(__name__)
@@ -71,27 +69,33 @@ def read_fit(
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")
-    if not {"experiment", "tests"} & tables.keys() and (kind := kinds(tables)) & {"case", "study"}:
+    known = {"fit", "experiment", "tests"} & tables.keys()
+    if not known and (kind := kinds(tables)) & {"case", "study"}:
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
     file = TableReader(name, tables, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
+    case = file.raw("case")
+    origin = Origin(str(folder / case) if isinstance(case, str) else f"{name}: case")
+    of_keys = [Fault(fault) for fault in read_values(base or {}, origin)[1]]
+    if wrong := [fault for fault in of_keys if fault.code != "missing"]:  # which tests may set
+        base = None
+        faults += wrong
     settings, parameters = _read_settings(inner(file, "fit"))
     alone = running is not None and not others
     files = FileStore(folder, growing=alone)
     tests = _tests(file, base, files)
     if running is not None:
-        tests = _chosen(file, tests, running, others)
+        tests = _chosen(name, tests, running, others)
     experiments = read_experiments(name, tests, Cases(base, parameters, faults), files)
-    faults += () if plans else _planned(name, experiments)
+    _check_readings(name, experiments, settings, plans, faults)
     design = _read_design_space(inner(file, "design"))
     compared, laws = inner(file, "compare"), {}
     for law in [*compared.keys()]:
         reader = inner(compared, law, "compare.NAME")
         laws[law] = changes_of(reader, folder), read_parameters(reader)
         reader.finish()
-    file.raw("case")
     file.finish()
     _refuse(faults)
     whose = f"{name}: without {legible(running or '')}" if others else name
@@ -102,8 +106,8 @@ def read_fit(
     alternatives = {}
     for law, (changes, fitted) in laws.items():
         place = f"{name}: compare.{legible(law)}"
-        other = under_law(place, experiments, Cases(base, fitted, faults, changes))
-        alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=other)
+        read = read_experiments(place, tests, Cases(base, fitted, faults, changes), files)
+        alternatives[law] = replace(problem, name=place, parameters=fitted, experiments=read)
         if not faults:
             _check(alternatives[law], faults)
     _refuse(faults)
@@ -112,54 +116,46 @@ def read_fit(
 
 def _refuse(faults: Sequence[str]) -> None:
     """Raise InputError of faults; one that several tests have is said of the first one only."""
-    tests: dict[str, list[str]] = {}
-    for fault in faults:
-        test = _TEST.match(fault)
-        tests.setdefault(fault[test.end() :] if test else fault, []).append(fault)
-    said = [
-        Fault(first).reworded(first + f" (so in {len(repeats) + 1} tests)" * bool(repeats))
-        for first, *repeats in tests.values()
-    ]
-    if said:
-        raise InputError(*said)
+    rules = [_TEST.sub("", fault, count=1) for fault in faults]
+    first = dict(zip(reversed(rules), reversed(faults), strict=True))
+    if faults:
+        raise InputError(*(
+            Fault(first[rule]).reworded(first[rule] + f" (so in {count} tests)" * (count > 1))
+            for rule, count in Counter(rules).items()
+        ))  # fmt: skip
 
 
-def _chosen(
-    file: TableReader, tests: list[TableReader], running: str, others: bool
-) -> list[TableReader]:
+def _chosen(name: str, tests: Mapping[str, Any], running: str, others: bool) -> dict[str, Any]:
     """Return the table of the running test, or of all others, out of those of a fit file."""
-    known = [name for test in tests if isinstance(name := test.raw("name"), str)]
-    if not known:  # which their readers say
-        return tests
-    running = running or known[-1]
-    if running not in known:
+    names = {w: table.get("name") for w, table in tests.items() if isinstance(table, Mapping)}
+    known = [test for test in names.values() if isinstance(test, str)]
+    running = running or (known[-1] if known else "")
+    if known and running not in known:
         every = ", ".join(map(legible, known))
-        raise InputError(f"--test = {legible(running)}: must be one of {every} of {file.place}")
+        raise InputError(f"--test = {legible(running)}: must be one of {every} of {name}")
     if others and len(tests) == 1:
         raise InputError(
-            f"{file.place}: has no test but {legible(running)}; --after must name the folder of a "
+            f"{name}: has no test but {legible(running)}; --after must name the folder of a "
             "fit of others"
         )
-    return [test for test in tests if (test.raw("name") == running) is not others]
+    return {w: table for w, table in tests.items() if (names.get(w) == running) is not others}
 
 
-def _tests(
-    file: TableReader, base: Mapping[str, Any] | None, files: FileStore
-) -> list[TableReader]:
-    """Return the tables of a fit file's tests.
+def _tests(file: TableReader, base: Mapping[str, Any] | None, files: FileStore) -> dict[str, Any]:
+    """Return the tables of a fit file's tests, by where they stand.
 
     Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
     dotted keys of their case, None where that has faults.
     """
-    table, place = file.raw("tests"), f"{file.place}: tests"
-    written = tables_in(file, "experiment", needed=table is None)
+    table, written = file.raw("tests"), file.raw("experiment", [])
+    if not isinstance(written, list) or not (written or table is not None):
+        file.wrong("experiment", "must be tables, [[experiment]]")
+        written = []
+    tests = {f"experiment {number}": test for number, test in enumerate(written, start=1)}
     if table is None:
-        return written
-    rows = laboratory_tests(place, table, keys_of("tests"), base, files, file.faults)
-    return written + [
-        reader_of("experiment", f"{file.place}: {row}", table, file.faults)
-        for row, table in rows.items()
-    ]
+        return tests
+    place, keys = f"{file.place}: tests", keys_of("tests")
+    return tests | laboratory_tests(place, table, keys, base, files, file.faults)
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
@@ -174,10 +170,8 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_settings(reader: TableReader) -> tuple[Settings, tuple[FittedParameter, ...]]:
     """Return how to fit, and the fitted keys, of ``[fit]``."""
-    if gone := [key for key in _GONE if key in reader]:
+    if gone := [key for key in _GONE if reader.raw(key) is not None]:
         log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
-        for key in gone:
-            reader.raw(key)
     parameters = read_parameters(reader, reader.raw("units", {}))
     level, loss = reader.read("level"), reader.read("loss")
     process = read_process(reader)
@@ -203,23 +197,33 @@ def _read_design_space(reader: TableReader) -> DesignSpace:
     return DesignSpace(criterion, ranges, seconds, count, units)
 
 
-def _placed(name: str, experiments: Sequence[Experiment]) -> list[tuple[str, Series]]:
-    """Return all series of experiments, each with how sentences about it begin."""
-    return [
-        (f'{name}: experiment "{legible(experiment.name)}": {series.name}', series)
-        for experiment in experiments
-        for series in experiment.series
-    ]
-
-
-def _planned(name: str, experiments: Sequence[Experiment]) -> list[Fault]:
-    """Return the faults of readings that are planned, where there must be some."""
-    rule = "file or value must be given; planned readings are for --dry-run and ringwear design"
-    return [
-        Fault(f"{place}: {rule}", "experiment.data.file", "missing")
-        for place, series in _placed(name, experiments)
-        if series.planned
-    ]
+def _check_readings(
+    name: str,
+    experiments: Sequence[Experiment],
+    settings: Settings,
+    plans: bool,
+    faults: list[str],
+) -> None:
+    """Refuse planned readings but for plans, and what does not go together with limits."""
+    for experiment, series in ((e, s) for e in experiments for s in e.series):
+        place = f'{name}: experiment "{legible(experiment.name)}": {series.name}'
+        if series.planned and not plans:
+            rule = "must be given; planned readings are for --dry-run and ringwear design"
+            sentence = f"{place}: file or value {rule}"
+            faults.append(Fault(sentence, "experiment.data.file", "missing"))
+        limits = np.zeros(1) if series.censored is None else series.censored
+        rules = {
+            'must be absent with loss = "student"': settings.loss == "student",
+            "must be absent with process": bool(settings.process),
+            "must be absent with correlation_time": series.correlation_time > 0.0,
+            'needs sd as a number where all readings are: must not be "fit"':
+                series.sd_fitted and limits.all(),
+        }  # fmt: skip
+        faults += [
+            Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
+            for rule, broken in rules.items()
+            if broken and limits.any()
+        ]
 
 
 def _check(problem: Problem, faults: list[str]) -> None:
@@ -233,25 +237,5 @@ def _check(problem: Problem, faults: list[str]) -> None:
             "parameters and nuisances"
         )
         return
-    _check_censored(problem, faults)
     check_scatter(problem, faults)
     check_process(problem, faults)
-
-
-def _check_censored(problem: Problem, faults: list[str]) -> None:
-    """Refuse what does not go together with censored readings."""
-    for place, series in _placed(problem.name, problem.experiments):
-        if series.censored is None or not series.censored.any():
-            continue
-        rules = {
-            'must be absent with loss = "student"': problem.settings.loss == "student",
-            "must be absent with process": bool(problem.settings.process),
-            "must be absent with correlation_time": series.correlation_time > 0.0,
-            'needs sd as a number where all readings are: must not be "fit"':
-                series.sd_fitted and series.censored.all(),
-        }  # fmt: skip
-        faults += [
-            Fault(f"{place}: censored: {rule}", "experiment.data.censored", "conflict")
-            for rule, broken in rules.items()
-            if broken
-        ]

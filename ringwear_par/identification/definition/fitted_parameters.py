@@ -16,13 +16,12 @@ from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry
-from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import check_start, keys_of, reader_of
 from ringwear_par.studies.variations import split_key, unnested
@@ -103,18 +102,6 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
 def unit_scale(parameter: FittedParameter) -> float:
     """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
-
-
-def units_of(problem: Problem) -> dict[str, str]:
-    """Return the units of the fitted keys, "1" for none."""
-    known = smooth_keys(problem.experiments[0].case)
-    return {key: known[key] for key in problem.keys}
-
-
-def unit_of_key(problem: Problem, key: str) -> str:
-    """Return the unit of a fitted key, with a blank before it; "" for none."""
-    unit = units_of(problem)[key]
-    return "" if unit in ("1", "-") else f" {unit}"
 
 
 def refuse_unfit(

@@ -50,28 +50,24 @@ def _input(
     key: str | None, reader: TableReader, case: Case | None, files: FileStore
 ) -> MeasuredInput | None:
     """Return an input, whose readings must be allowed in the case; None, and faults, of others."""
-    before, of_torque, readings = len(reader.faults), key == "contact.friction", None
+    if key is None:
+        return None
+    before, of_torque = len(reader.faults), key == "contact.friction"
     end = math.inf if case is None else case.time.end
-    reader.place = reader.place if key is None else f"{reader.place} ({key})"
+    reader.place = f"{reader.place} ({key})"
     excluded = read_intervals(reader, "exclude", "s")
     smooth, scale = reader.read("smooth"), reader.read("scale")
     if of_torque and "quantity" not in reader:
         reader.wrong("quantity", 'must be "torque"')
-    elif key is not None and not of_torque:
+    elif not of_torque:
         refuse(reader, "of a load or a speed, which is its own quantity", "quantity")
     reader.read("quantity")
-    if key is not None and "file" in reader:
-        kind = "torque" if of_torque else key.partition(".")[2]
-        readings = read_readings(reader, kind, None, end, files)
-    else:
-        reader.read("file")
-        for name in ("columns", "units", "skip", "drop"):
-            reader.raw(name)
+    kind = "torque" if of_torque else key.partition(".")[2]
+    read = read_readings(reader, kind, end, files)
     reader.finish()
-    if readings is None or case is None or key is None or len(reader.faults) > before:
+    if read is None or case is None or len(reader.faults) > before:
         return None
-    series = replace(readings.series, name=key)
-    series = series.part(is_outside(series.x, excluded))
+    series = replace(read[0], name=key).part(is_outside(read[0].x, excluded))
     x, value = series.x, series.value
     check_times(reader, series, end)
     if len(x) < FEWEST_READINGS:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -312,8 +312,6 @@ class Experiment:
     groups: tuple[str, str, str] = ("", "", "")
     #: what of the case was measured
     inputs: tuple[MeasuredInput, ...] = ()
-    #: keys in which its case differs from that of the fit file
-    changes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def torque_input(self) -> MeasuredInput | None:

@@ -122,6 +122,9 @@ _SMOOTHING = _number_or("auto", "none", allowed='"auto", "none", or a time > 0')
 _DENSITY = number(*DENSITIES, ends=True)._replace(
     allowed="from {:g} to {:g} g/mm3, as of foams and metals".format(*DENSITIES)
 )
+_NOISE = number(0.0)._replace(
+    allowed='a number > 0, the name of a column of file, { relative = x } or "fit"'
+)
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
 _CASE_KEYS = anything("a table of case keys and their values")
 _BOUNDS = pair(-math.inf)
@@ -260,10 +263,9 @@ KEYS: tuple[Key, ...] = (
         "one density of all material that the weighed body has lost, layers included; default: "
         "the densities of the body and its layers in the case. A mass needs one or the other",
         None),
-    Key("experiment.data.sd", *number(0.0), "data's",
-        "standard deviation of the readings' noise: a number, the name of a column of file (in its "
-        "own unit, or the data's), { relative = x } (share of the running median of the readings) "
-        "or \"fit\", which estimates it"),
+    Key("experiment.data.sd", *_NOISE, "data's",
+        "standard deviation of the readings' noise; that of a column of file is in its own unit, "
+        "or the data's; \"fit\" estimates it"),
     Key("experiment.data.sd.relative", *number(0.0), "1",
         "sd as a share of the running median of the readings"),
     Key("experiment.data.correlation_time", *number(0.0, ends=True), "s",

@@ -13,7 +13,7 @@ from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import counted
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.data_sources import (
-    lines_of,
+    line_of,
     read_censored,
     read_noise,
     read_readings,
@@ -56,13 +56,6 @@ def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Ser
     kind, _, body = quantity.partition(".")
     reader.place = f"{reader.place} ({quantity})"
     end, profile = math.inf if case is None else case.time.end, kind == "profile"
-    if kind == "through":
-        refuse(reader, "where value is the time at which the layer is through", "at")
-    elif not profile and {"file", "times"} & reader.keys():
-        refuse(reader, "beside file or times, which tell when readings were made", "at")
-    at: float | None = reader.read("at")
-    if at is not None and at > end:
-        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
     density = _density(reader, body, case) if kind == "mass" else 1.0
     if kind == "through" and case is not None and not getattr(case, body).layers:
         reader.fault(f"{body} has no layers; must have one at least")
@@ -77,20 +70,21 @@ def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Ser
             f"must be at most {_LONGEST_CORRELATION:g} times the test, which ends at {end:g} s; "
             "noise that never changes is an offset",
         )
-    readings = read_readings(reader, kind, at, end, files)
-    if readings is None:
+    read = read_readings(reader, kind, end, files)
+    if read is None:
         for name in ("sd", "censored"):
             reader.raw(name)
         reader.finish()
         return None
-    keep = is_outside(readings.series.x, excluded)
-    sd, fitted = read_noise(reader, readings, keep)
-    censored = read_censored(reader, readings)
+    series, data = read
+    keep = is_outside(series.x, excluded)
+    sd, fitted = read_noise(reader, series, data, keep)
+    censored = read_censored(reader, series.n, data)
     reader.finish()
     series = replace(
-        readings.series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted,
-        density=density, at=(end if at is None else at) if profile else None, nuisances=nuisances,
-        correlation_time=correlation, excluded=tuple(excluded), censored=censored,
+        series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted, density=density,
+        nuisances=nuisances, correlation_time=correlation, excluded=tuple(excluded),
+        censored=censored,
     ).part(keep)  # fmt: skip
     if case is not None and len(reader.faults) == before:
         _check(reader, series, case)
@@ -199,7 +193,7 @@ def refuse_readings(
         i = int(wrong.argmax())
         first = words.format(x=series.x[i], value=series.value[i] / series.factor)
         more = and_more(int(wrong.sum()), "reading")
-        reader.fault(f"{lines_of(series)[i]}{first}{more}: {rule}")
+        reader.fault(f"{line_of(series, i)}{first}{more}: {rule}")
 
 
 def check_times(reader: TableReader, series: Series, end: float) -> None:

@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files.folders import BARS, DESIGN, POSTERIOR, json_bytes, write_outcome
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
+from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import Criterion, Problem
 from ringwear_par.identification.design.information import (
     LOADS,
@@ -183,7 +184,7 @@ def design(
             )
         values, scales, about = before.values.tolist(), {}, []
         for p, value in zip(problem.parameters, values, strict=True):
-            scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
+            scale, unit = unit_scale(p), p.unit or unit_of(p.key)
             about.append(f"{p.key} = {value / scale:.4g} {unit}".rstrip())
             of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
             scales[p.key] = dict(zip(("factor", "unit"), of_sd, strict=True))
