@@ -79,7 +79,7 @@ def read_readings(
         reader.raw(name)
     sources = _SOURCES.get(kind, _USUAL)
     source = next((name for name in sources if name in reader), "")
-    where = f"beside {source}" if source else f"of a {kind}"
+    where = f"beside {source}" if source else f"for a {kind}"
     refuse(reader, where, *(set(known) - {source, *sources.get(source, _OF_NUMBERS)}))
     at = reader.read("at") if "at" in known else None
     if at is not None and at > end:
@@ -175,7 +175,7 @@ def _column_unit(
     if missing := missing_column(data, column, role):
         reader.fault(missing, "columns")
         return None
-    with _as_faults(reader, f"units.{role}"):
+    with _as_faults(reader, "units"):
         if unit:
             named = unit_of_column(data.label(column), base)
         else:

@@ -170,8 +170,10 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_settings(reader: TableReader) -> tuple[Settings, tuple[FittedParameter, ...]]:
     """Return how to fit, and the fitted keys, of ``[fit]``."""
-    if gone := [key for key in _GONE if reader.raw(key) is not None]:
+    if gone := [key for key in _GONE if key in reader]:
         log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
+        for key in gone:
+            reader.raw(key)
     parameters = read_parameters(reader, reader.raw("units", {}))
     level, loss = reader.read("level"), reader.read("loss")
     process = read_process(reader)
