@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning, counted
-from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
@@ -240,13 +240,3 @@ def of_readings(every: Sequence[FittedSeries]) -> list[ValidityWarning]:
     )
     drift = "{} time constants hardly tell a drift from thermal growth; give one a prior"
     return _together("outliers", outliers, far_off) + _together("drift-or-growth", alike, drift)
-
-
-def of_units(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
-    """Return the doubts about units that are likely wrong, one a sentence."""
-    found = defaultdict(list)
-    for test in experiments:
-        for series in [*test.series, *(entry.series for entry in test.inputs)]:
-            for sentence in series.suspicions:
-                found[sentence].append((0.0, f"{series.name} ({test.name})", test.name))
-    return [d for text, of in found.items() for d in _together("assumed-unit", of, text)]

@@ -8,11 +8,10 @@ from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import unit_of
-from ringwear_par.errors import ComputationError, counted, warning_lines
+from ringwear_par.errors import ComputationError, counted
 from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.design.information import before_tests, informations
-from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
 from ringwear_par.identification.record_checks import refuse_unfit
@@ -50,7 +49,6 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
         f"{problem.name}: {counted(n, 'reading')} in "
         f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
         "their start values (nothing written):",
-        *warning_lines(doubt.text for doubt in of_units(problem.experiments)),
     ]
     width, bounds = max(map(len, problem.keys)), np.array(problem.unknown_bounds)
     for j, parameter in enumerate(problem.parameters):

@@ -206,7 +206,6 @@ def result_of(solution: Solution) -> FitResult:
     found = (
         *doubts.of_keys(parameters), *(doubt for _, doubt in checks if doubt is not None),
         *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
-        *doubts.of_units(problem.experiments),
     )  # fmt: skip
     draws = _draws(solution, rows, values[rows], of_tests[rows])
     content = {

@@ -17,7 +17,6 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import counted
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series, records
 from ringwear_par.identification.definition.series import averaged
-from ringwear_par.identification.doubts import of_units
 from ringwear_par.identification.fitted_tests import with_all
 from ringwear_par.identification.key_estimates import in_users_unit
 from ringwear_par.identification.likelihood import TestLikelihood
@@ -94,8 +93,7 @@ def answer_of(
     reached = keys[key]["percent"]
     time, less = time_to_goal(follower, specimen, goal, percent / reached)
     times = [0.0, *(float(one.test.times.max()) for one in specimens)]
-    doubts = [*doubts_of(follower.draws, test.case, follower.of), *of_units([test])]
-    texts = [doubt.text for doubt in doubts]
+    texts = [doubt.text for doubt in doubts_of(follower.draws, test.case, follower.of)]
     if alarm is not None:
         texts.insert(
             0,

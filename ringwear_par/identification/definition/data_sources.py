@@ -1,9 +1,11 @@
 """``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
 
+import logging
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from itertools import compress
 from typing import Any
 
@@ -33,6 +35,8 @@ from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Series
 from ringwear_par.identification.definition.schema import inner, keys_of, read_all, refuse
+
+log = logging.getLogger(__name__)
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
@@ -151,17 +155,19 @@ def _from_file(
         x = x_scale * data.numbers(names[0], rows, hour)
     with _as_faults(reader, "file"):
         value = scale * data.numbers(names[1], rows)
-    doubts: tuple[str, ...] = ()
     if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
         x = x - x[0]
-        sentence = "after the end of the test; they are taken as times of day, that of the first"
-        doubts = (f"the times begin with {legible(first)}, {sentence} reading as 0",)
+        begin = f"{data.name}: the times begin with {legible(first)}, after the end of the test"
+        warn_once(f"{begin}; they are taken as times of day, that of the first reading as 0")
     read = replace(data, rows=tuple(compress(data.rows, rows)), lines=data.lines[rows])
-    series = _series(
-        kind, x, value, at, end, unit=unit, factor=scale, lines=read.lines, file=data.name,
-        suspicions=doubts,
-    )  # fmt: skip
-    return series, read
+    more = {"unit": unit, "factor": scale, "lines": read.lines, "file": data.name}
+    return _series(kind, x, value, at, end, **more), read
+
+
+@cache
+def warn_once(sentence: str) -> None:
+    """Warn of readings, once: those of a running test are read again and again."""
+    log.warning("%s", sentence)
 
 
 def _column_unit(

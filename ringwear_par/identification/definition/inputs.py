@@ -10,7 +10,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.files.smoothing import MOST_POINTS
-from ringwear_par.identification.definition.data_sources import read_readings
+from ringwear_par.identification.definition.data_sources import read_readings, warn_once
 from ringwear_par.identification.definition.problem import MeasuredInput
 from ringwear_par.identification.definition.schema import FEWEST_READINGS, refuse
 from ringwear_par.identification.definition.series import (
@@ -94,9 +94,8 @@ def _input(
     entry = MeasuredInput(key, series, smooth, scale, 0.5 * sum(case.contact))
     typical, (least, most) = float(np.median(entry.readings(case))), _FRICTIONS
     if of_torque and not least <= typical <= most:
-        suspicion = (
+        warn_once(
             f"{series.file}: readings in {series.unit} mean a friction of {typical:.3g}, where "
             f"contacts have {least:g} to {most:g}; look at the unit of the torque, and at the load"
         )
-        entry = replace(entry, series=replace(series, suspicions=(*series.suspicions, suspicion)))
     return entry

@@ -193,8 +193,6 @@ class Series:
     #: where the readings stand; "" and none of a single value
     file: str = ""
     lines: IntArray | None = None
-    #: sentences about times and units that are likely others
-    suspicions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
     planned: bool = False
     #: (low, high) of what was left out, s or mm
