@@ -14,8 +14,7 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning, counted
-from ringwear_par.identification.definition.problem import Problem, body_of_wear
-from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.definition.problem import PLURALS, Problem, body_of_wear
 from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution

@@ -14,7 +14,6 @@ from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
 from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import read_inputs
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
@@ -22,7 +21,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
 )
 from ringwear_par.identification.definition.schema import reader_of, tables_in
-from ringwear_par.identification.definition.series import read_series
+from ringwear_par.identification.definition.series import read_inputs, read_series
 
 #: what a fit needs of histories, and how they are stepped
 _STEPPING = {"time.scheme": "adaptive"}

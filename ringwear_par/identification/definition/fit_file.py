@@ -24,26 +24,21 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.identification.definition.experiments import Cases, read_experiments
-from ringwear_par.identification.definition.fitted_parameters import read_parameters
+from ringwear_par.identification.definition.fitted_parameters import read_parameters, read_process
 from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    PLURALS,
     DesignSpace,
     Experiment,
     FittedParameter,
     Problem,
     Settings,
+    body_of_wear,
 )
-from ringwear_par.identification.definition.scatter import (
-    check_process,
-    check_scatter,
-    read_process,
-)
-from ringwear_par.identification.definition.schema import (
-    inner,
-    keys_of,
-    read_all,
-)
+from ringwear_par.identification.definition.schema import inner, keys_of, read_all
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +46,11 @@ log = logging.getLogger(__name__)
 _GONE = ("starts", "method")
 #: beginning of the faults of a test
 _TEST = re.compile(r'.*?(?:experiment|line)(?: \d+)? "(?:[^"\\]|\\.)*": ')
+#: most sizes that one fit may estimate: readings of more tell little but their priors
+_MOST_FITTED = 3
+#: largest correlation time, as a share of a record: noise that is correlated for longer looks like
+#: wear
+_LONGEST_CORRELATION = 0.1
 _LOADS = ("load.pressure", "load.force")
 
 
@@ -239,5 +239,74 @@ def _check(problem: Problem, faults: list[str]) -> None:
             "parameters and nuisances"
         )
         return
-    check_scatter(problem, faults)
-    check_process(problem, faults)
+    _check_scatter(problem, faults)
+    _check_process(problem, faults)
+
+
+def _check_scatter(problem: Problem, faults: list[str]) -> None:
+    """Add what readings cannot tell of the scatters to the faults."""
+    name, experiments, settings = problem.name, problem.experiments, problem.settings
+    scatters = [(p.key, p.scatter) for p in problem.parameters if p.scatter is not None]
+    fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
+    count = len(fitted) + sum(noise.fitted for noise in settings.process.values())
+    if count > _MOST_FITTED:
+        faults.append(
+            f'{name}: {count} sizes of scatter and process are "fit"; must be at most '
+            f"{_MOST_FITTED}"
+        )
+    if not scatters:
+        return
+    if all(s.censored is not None and s.censored.all() for e in experiments for s in e.series):
+        faults.append(
+            f"{name}: all readings are limits, which tell nothing of keys with scatter; some must "
+            "be values, or scatter absent"
+        )
+    groups = zip(*(experiment.groups for experiment in experiments), strict=True)
+    names = dict(zip(GROUPS, groups, strict=True))
+    for group in GROUPS[1:]:
+        seen: dict[str, str] = {}
+        for specimen, label in zip(names["specimen"], names[group], strict=True):
+            if seen.setdefault(specimen, label) != label:
+                faults.append(
+                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
+                    f'of "{legible(seen[specimen])}"; must be of one {group}'
+                )
+    for key, group in fitted:
+        count, plural = len({*names[group]}), PLURALS[group]
+        if count == 1:
+            faults.append(
+                f"{name}: scatter of {key} between {plural} cannot be fitted to one "
+                f"{group}; must be a number, or there must be at least 2 {plural}"
+            )
+        for small in GROUPS[: GROUPS.index(group)]:
+            pairs = {*zip(names[small], names[group], strict=True)}
+            if (key, small) in fitted and len(pairs) == count:
+                faults.append(
+                    f"{name}: scatter of {key}: {group} and {small} are the same groups; "
+                    'only one of the two can be "fit"'
+                )
+
+
+def _check_process(problem: Problem, faults: list[str]) -> None:
+    """Add what readings cannot tell of wear's own noise to the faults."""
+    name, experiments = problem.name, problem.experiments
+    series = [(experiment.name, one) for experiment in experiments for one in experiment.series]
+    bodies = [body_of_wear(key) for key in problem.settings.process]
+    for body in bodies:
+        key = f"fit.process.wear.{body}"
+        if not any(experiment.case.laws[BODIES.index(body)] for experiment in experiments):
+            faults.append(f"{name}: {key}: {body} does not wear; must be a body with a wear law")
+        elif not any(one.tells_wear(body) for _, one in series):
+            faults.append(
+                f"{name}: {key}: no reading is of a depth, mass, volume or profile of {body}; must "
+                "have one at least"
+            )
+    for test, one in series:
+        length = float(np.ptp(one.x))  # s
+        correlated = one.correlation_time > _LONGEST_CORRELATION * length
+        if correlated and any(map(one.tells_wear, bodies)):
+            faults.append(
+                f'{name}: experiment "{legible(test)}": {one.name}: correlation_time = '
+                f"{one.correlation_time:g}: cannot be told from wear's own noise (fit.process); "
+                f"must be at most {_LONGEST_CORRELATION:g} of the record, {length:g} s"
+            )

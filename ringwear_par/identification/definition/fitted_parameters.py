@@ -19,13 +19,30 @@ from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import FittedParameter
-from ringwear_par.identification.definition.scatter import read_scatter
-from ringwear_par.identification.definition.schema import check_start, keys_of, reader_of
+from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    FittedParameter,
+    ProcessNoise,
+    Scatter,
+)
+from ringwear_par.identification.definition.schema import (
+    check_start,
+    keys_of,
+    read_all,
+    reader_of,
+    refuse,
+)
 from ringwear_par.studies.variations import split_key, unnested
 
+#: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
+_LOG_SCALE = 0.3
+#: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
+_LARGEST = 3.0
+#: tables of wear that may be random
+_RANDOM = tuple(f"wear.{body}" for body in BODIES)
 #: entries of layers that may be fitted, beside numbers of their laws
 _ELASTIC = ("thickness", "young", "poisson")
 
@@ -83,7 +100,7 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
     entry = reader_of("fit.parameters.KEY", f'{place}.parameters."{name}"', table, faults)
     start, bounds, prior = (entry.read(name, unit=base) for name in ("start", "bounds", "prior"))
     log = entry.read("scale") == "log"
-    scatter = read_scatter(entry, key, log, base or "")
+    scatter = _read_scatter(entry, key, log, base or "")
     entry.finish()
     if log and bounds is not None and bounds[0] <= 0:
         entry.wrong("bounds", 'must be two increasing numbers > 0 where scale = "log"')
@@ -97,6 +114,68 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
     if len(faults) > before:
         return None
     return FittedParameter(key, start, bounds, log, prior, scatter, unit)
+
+
+def _read_scatter(parameter: TableReader, key: str, log: bool, unit: str) -> Scatter | None:
+    """Return the scatter of a fitted key, None where it has none; its faults are the reader's."""
+    value, faults = parameter.raw("scatter"), parameter.faults
+    if value is None:
+        return None
+    if key.startswith("load."):
+        rule = f"must be absent, {key} is set by the machine, not by the specimen"
+        parameter.wrong("scatter", rule, "conflict")
+        return None
+    table = value if isinstance(value, Mapping) else {"specimen": value}
+    before, place = len(faults), f"{parameter.place}: scatter"
+    reader = reader_of("fit.parameters.KEY.scatter", place, table, faults)
+    unit = "1" if log else unit
+    read = {group: reader.read(group, unit=unit) for group in GROUPS}
+    sizes = {group: size for group, size in read.items() if size is not None}
+    scale, start = (reader.read(name, unit=unit) for name in ("prior", "start"))
+    reader.finish()
+    if not sizes and len(faults) == before:
+        reader.fault(f"must have one of {', '.join(GROUPS)}")
+    for name, size in {**sizes, "prior": scale}.items() if log else ():
+        if isinstance(size, float) and size > _LARGEST:
+            rule = f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
+            reader.wrong(name, rule)
+    if not log and scale is None and "fit" in sizes.values():
+        rule = 'where scale = "linear" and the scatter is "fit"'
+        reader.wrong("prior", f"must be {{ half_t = scale }} in {unit} {rule}")
+    scale = scale or _LOG_SCALE
+    known = {group: None if size == "fit" else size for group, size in sizes.items()}
+    return Scatter(known, scale, start or 0.5 * scale)
+
+
+def read_process(fit: TableReader) -> dict[str, ProcessNoise]:
+    """Return the process noise by key ("wear.lower"); its faults are the reader's."""
+    table = fit.raw("process", {})
+    if not isinstance(table, Mapping):
+        fit.wrong("process", "must be a table of wear.lower, wear.upper")
+        return {}
+    entries, place = unnested(table, keys_of("fit.process.KEY").keys()), f"{fit.place}.process"
+    name_unknown_keys(place, entries, _RANDOM, fit.faults, table="fit.process")
+    return {
+        key: _read_noise(f"{place}.{key}", entries[key], fit.faults)
+        for key in _RANDOM
+        if key in entries
+    }
+
+
+def _read_noise(place: str, value: object, faults: list[str]) -> ProcessNoise:
+    if not isinstance(value, Mapping) and value != "fit":
+        rule = 'must be "fit", or a table of size or share, and prior'
+        faults.append(f"{place} = {shortened(value)}: {rule}")
+        return ProcessNoise()
+    before, table = len(faults), {"size": "fit"} if value == "fit" else value
+    reader = reader_of("fit.process.KEY", place, table, faults)
+    size, share, scale = read_all(reader)
+    if len(faults) == before and (size is None) == (share is None):
+        reader.fault("must have one of size and share", code="missing")
+    if size != "fit":
+        refuse(reader, 'where the size is not "fit"', "prior")
+        return ProcessNoise(size, share)
+    return ProcessNoise() if scale is None else ProcessNoise(scale=scale)
 
 
 def unit_scale(parameter: FittedParameter) -> float:

@@ -10,9 +10,43 @@ import numpy as np
 from ringwear_par import schedules
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.files.smoothing import Smoothing, curve
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 
+
+@dataclass(frozen=True)
+class ReadingKind:
+    """A kind of readings, as "penetration", or "profile" of the quantity "profile.lower"."""
+
+    #: of the readings within the program
+    unit: str
+    #: kinds that these readings may have
+    nuisances: tuple[str, ...]
+    #: the variable of a history that is read in time, "worn_volume" of a body; None: it is read
+    #: along the radius, or once
+    variable: str | None
+    #: whether its quantities name a body
+    of_body: bool = False
+    #: whether they are of what is worn off: of the body that the quantity names, or of both
+    of_wear: bool = True
+
+
+_OF_RIGS = ("offset", "drift", "compliance", "thermal")
+READING_KINDS = {
+    "penetration": ReadingKind("mm", _OF_RIGS, "penetration"),
+    "approach": ReadingKind("mm", _OF_RIGS, "approach"),
+    "torque": ReadingKind("N mm", ("offset", "drift"), "torque", of_wear=False),
+    "profile": ReadingKind("mm", ("level", "tilt"), None, of_body=True),
+    "mass": ReadingKind("g", ("offset",), "worn_volume", of_body=True),
+    "volume": ReadingKind("mm^3", ("offset",), "worn_volume", of_body=True),
+    "through": ReadingKind("s", (), None, of_body=True),
+}
+#: the quantities that a series may be of
+QUANTITIES = tuple(
+    quantity
+    for name, kind in READING_KINDS.items()
+    for quantity in ([f"{name}.{body}" for body in BODIES] if kind.of_body else [name])
+)
 #: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
     "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
@@ -29,8 +63,9 @@ class Prior(NamedTuple):
     sd: float
 
 
-#: groups of tests between which values may scatter, the smallest first
-GROUPS = ("specimen", "batch", "lab")
+#: groups of tests between which values may scatter, the smallest first, and their plurals
+PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
+GROUPS = (*PLURALS,)
 
 
 @dataclass(frozen=True)
@@ -339,11 +374,6 @@ class Experiment:
     def times(self) -> FloatArray:
         """When each reading was made, (n,) s."""
         return np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in self.series])
-
-    @property
-    def bends_within(self) -> bool:
-        """Whether layers may be worn through, where readings have kinks."""
-        return any(len(laws) > 1 for laws in self.case.laws)
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,14 @@ from ringwear_par.cases.values import (
 from ringwear_par.errors import legible
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
+    QUANTITIES,
+    READING_KINDS,
     Criterion,
     DesignSpace,
     Loss,
     Prior,
     Settings,
 )
-from ringwear_par.identification.definition.reading_kinds import QUANTITIES, READING_KINDS
 
 #: case keys that a rig measures in time, and fewest readings of them
 INPUT_KEYS, FEWEST_READINGS = (

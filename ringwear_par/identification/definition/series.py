@@ -1,4 +1,4 @@
-"""``[[experiment.data]]``: from a table of a fit file to readings in the units of a case."""
+"""``[[experiment.data]]`` and ``[[experiment.input]]``: readings in the units of a case."""
 
 import math
 from collections.abc import Sequence
@@ -12,27 +12,36 @@ from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import counted
 from ringwear_par.files.measurements import and_more
+from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.data_sources import (
     line_of,
     read_censored,
     read_noise,
     read_readings,
+    warn_once,
 )
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
+    READING_KINDS,
+    MeasuredInput,
     Nuisance,
     Series,
     friction_power,
 )
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.schema import (
     DENSITIES,
+    FEWEST_READINGS,
     check_start,
     inner,
     read_all,
     refuse,
 )
+from ringwear_par.schedules import in_time
 
+#: share of the test that an input must cover
+_COVERED = 0.95
+#: coefficients of friction, from rolling to clean metals; others are likely in another unit
+_FRICTIONS = 1e-3, 2.0
 #: largest correlation time, in lengths of the test: noise correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
 #: a time constant is fitted within so many sd of its prior about the prior's mean
@@ -77,7 +86,7 @@ def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Ser
         reader.finish()
         return None
     series, data = read
-    keep = is_outside(series.x, excluded)
+    keep = _is_outside(series.x, excluded)
     sd, fitted = read_noise(reader, series, data, keep)
     censored = read_censored(reader, series.n, data)
     reader.finish()
@@ -99,17 +108,17 @@ def _check(reader: TableReader, series: Series, case: Case) -> None:
     if series.profile:
         (low, high), x, (a, b) = getattr(case, series.body).r, series.x, case.contact
         rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm"
-        refuse_readings(reader, series, (x < low) | (x > high), "r = {x:g} mm", rule)
+        _refuse_readings(reader, series, (x < low) | (x > high), "r = {x:g} mm", rule)
         if not ((x >= a) & (x <= b)).any():
             place = f"{series.file or 'r'}: has no reading within the contact"
             reader.fault(f"{place}, {a:g} to {b:g} mm; must have one at least")
     else:
-        check_times(reader, series, case.time.end)
+        _check_times(reader, series, case.time.end)
     if READING_KINDS[series.kind].unit == "mm":
         highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
         rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
         deep = np.abs(series.value) > highest
-        refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)
+        _refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)
     free = [nuisance.kind for nuisance in series.nuisances if nuisance.free]
     if series.n <= len(free):
         reader.fault(
@@ -118,7 +127,7 @@ def _check(reader: TableReader, series: Series, case: Case) -> None:
         )
 
 
-def is_outside(x: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
+def _is_outside(x: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
     """Return which of times or radii (n,) no interval holds."""
     ends = np.array(intervals).reshape(-1, 2)
     return ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
@@ -185,7 +194,7 @@ def _density(reader: TableReader, body: str, case: Case | None) -> float | None:
     return densities[0] if len(set(densities)) == 1 else None
 
 
-def refuse_readings(
+def _refuse_readings(
     reader: TableReader, series: Series, wrong: BoolArray, words: str, rule: str
 ) -> None:
     """Refuse readings where some (n,) are wrong: the first one in words with {x} and {value}."""
@@ -196,13 +205,13 @@ def refuse_readings(
         reader.fault(f"{line_of(series, i)}{first}{more}: {rule}")
 
 
-def check_times(reader: TableReader, series: Series, end: float) -> None:
+def _check_times(reader: TableReader, series: Series, end: float) -> None:
     """Refuse times that do not increase, or outside the test."""
     x = series.x
     late = np.diff(x, prepend=-np.inf) <= 0
-    refuse_readings(reader, series, late, "time {x:g} s", "times must increase")
+    _refuse_readings(reader, series, late, "time {x:g} s", "times must increase")
     rule = f"must be within the test, from 0 to {end:g} s (time.end)"
-    refuse_readings(reader, series, (x < 0) | (x > end), "time {x:g} s", rule)
+    _refuse_readings(reader, series, (x < 0) | (x > end), "time {x:g} s", rule)
 
 
 def averaged(series: Series, end: float) -> Series:
@@ -236,3 +245,78 @@ def averaged(series: Series, end: float) -> Series:
     )
     sd = np.where(single, series.sd[first], total**-0.5)
     return replace(series, x=x, value=value, sd=sd, lines=None, censored=None)
+
+
+def read_inputs(
+    readers: Sequence[tuple[str | None, TableReader]], case: Case | None, files: FileStore
+) -> tuple[tuple[MeasuredInput, ...], Case | None]:
+    """Return the inputs of an experiment that are right, and its case with them in their places.
+
+    Parameters
+    ----------
+    readers : of their tables, each with its key; None of a wrong one.
+    case : has numbers in the places of what was measured.
+    """
+    inputs = list[MeasuredInput]()
+    # friction needs the load
+    for key, reader in sorted(readers, key=lambda entry: entry[0] == "contact.friction"):
+        entry = _input(key, reader, case, files)
+        if case is not None and entry is not None:
+            inputs.append(entry)
+            case = entry.applied(case)
+    return tuple(inputs), case
+
+
+def _input(
+    key: str | None, reader: TableReader, case: Case | None, files: FileStore
+) -> MeasuredInput | None:
+    """Return an input, whose readings must be allowed in the case; None, and faults, of others."""
+    if key is None:
+        return None
+    before, of_torque = len(reader.faults), key == "contact.friction"
+    end = math.inf if case is None else case.time.end
+    reader.place = f"{reader.place} ({key})"
+    excluded = read_intervals(reader, "exclude", "s")
+    smooth, scale = reader.read("smooth"), reader.read("scale")
+    if of_torque and "quantity" not in reader:
+        reader.wrong("quantity", 'must be "torque"')
+    elif not of_torque:
+        refuse(reader, "of a load or a speed, which is its own quantity", "quantity")
+    reader.read("quantity")
+    kind = "torque" if of_torque else key.partition(".")[2]
+    read = read_readings(reader, kind, end, files)
+    reader.finish()
+    if read is None or case is None or len(reader.faults) > before:
+        return None
+    series = replace(read[0], name=key).part(_is_outside(read[0].x, excluded))
+    x, value = series.x, series.value
+    _check_times(reader, series, end)
+    if len(x) < FEWEST_READINGS:
+        reader.fault(f"has {len(x)} readings; must have {FEWEST_READINGS} at least")
+    elif (covered := float(np.ptp(x)) / end) < _COVERED and not files.growing:
+        reader.fault(
+            f"readings from {x[0]:g} to {x[-1]:g} s cover {100.0 * covered:.3g} % of the test; "
+            f"must cover {100.0 * _COVERED:g} % at least"
+        )
+    if smooth == "none" and len(x) > MOST_POINTS:
+        reader.wrong("smooth", f'must be "auto" or a time with more than {MOST_POINTS} readings')
+    low = value <= 0.0 if of_torque else value < 0.0
+    hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
+    rule = f"must be {'>' if of_torque else '>='} 0; {hint}"
+    _refuse_readings(reader, series, low, f"{{value:g}} {series.unit}", rule)
+    force = case.load.force
+    if of_torque and force is None:
+        reader.fault('needs load.control = "force"', "key", "conflict")
+    elif of_torque and force is not None and (no_load := in_time(force, x) <= 0.0).any():
+        first = f"the load is 0 at {x[no_load][0]:g} s"
+        reader.fault(f"{first}; exclude must leave out readings without load")
+    if len(reader.faults) > before:
+        return None
+    entry = MeasuredInput(key, series, smooth, scale, 0.5 * sum(case.contact))
+    typical, (least, most) = float(np.median(entry.readings(case))), _FRICTIONS
+    if of_torque and not least <= typical <= most:
+        warn_once(
+            f"{series.file}: readings in {series.unit} mean a friction of {typical:.3g}, where "
+            f"contacts have {least:g} to {most:g}; look at the unit of the torque, and at the load"
+        )
+    return entry
