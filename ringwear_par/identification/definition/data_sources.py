@@ -7,17 +7,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from itertools import compress
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.columns import (
     UNITS,
     FileStore,
     missing_column,
     no_unit,
+    read_intervals,
     read_texts,
     unit_by_name,
 )
@@ -88,12 +88,35 @@ def read_readings(
     at = reader.read("at") if "at" in known else None
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
+    excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
     if source == "file" or "value" not in known:
-        return _from_file(reader, kind, at, end, files)
-    if not (source or kind in ("mass", "volume", "through") or (at and "" in sources)):
+        found = _from_file(reader, kind, end, files)
+    elif source or kind in ("mass", "volume", "through") or (at and "" in sources):
+        found = _from_numbers(reader, kind, source, end if at is None else at), None
+    else:
         planned = "r" if kind == "profile" else "times"
         reader.wrong("file", f"must be given, or {planned} of planned readings")
         return None
+    series, data = found
+    if series is None:
+        return None
+    x = series.x
+    if kind == "through":  # and may be after the end
+        x = np.minimum(series.value, end)
+    elif kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
+        x = np.append(x[:-1], end)
+    at = (end if at is None else at) if kind == "profile" else None
+    ends = np.array(excluded).reshape(-1, 2)
+    keep = ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
+    series = replace(series, x=x, at=at, excluded=tuple(excluded)).part(keep)
+    if data is not None:
+        rows = compress(data.rows, np.isin(data.lines, series.lines))
+        data = replace(data, rows=tuple(rows), lines=series.lines)
+    return series, data
+
+
+def _from_numbers(reader: TableReader, kind: str, source: str, at: float) -> Series | None:
+    """Return a single reading at ``at`` (s), or planned ones; None, and faults, of wrong ones."""
     key, unit, written = "unit", reader.raw("unit", ""), reader.raw("value")
     if isinstance(written, str) and "unit" not in reader:
         key, unit = "value", number_and_unit(written)[1] if has_unit(written) else BASE[kind]
@@ -103,31 +126,17 @@ def read_readings(
         reader.wrong(key, f"must be the unit of {UNITS[BASE[kind]]}", "unit")
         return None
     value = reader.read("value", unit=str(unit)) if source == "value" else 0.0
-    x = reader.read(source) if source in ("times", "r") else [end if at is None else at]
+    x = reader.read(source) if source in ("times", "r") else np.array([at])
     if x is None or value is None:
         return None
-    values, planned = np.full(len(x), scale * value), source != "value"
-    series = _series(
-        kind, np.array(x), values, at, end, unit=str(unit), factor=scale, planned=planned
-    )
-    return series, None
-
-
-def _series(
-    kind: str, x: FloatArray, value: FloatArray, at: float | None, end: float, **more: Any
-) -> Series:
-    """Return times or radii (n,) and values, in the units of a case, as a series."""
-    if kind == "through":  # and may be after the end
-        x = np.minimum(value, end)
-    elif kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
-        x = np.append(x[:-1], end)
-    at = (end if at is None else at) if kind == "profile" else None
-    return Series(kind, kind, x, value, np.full(len(x), np.nan), at=at, **more)
+    more = {"unit": str(unit), "factor": scale, "planned": source != "value"}
+    return Series(kind, kind, x, np.full(len(x), scale * value), np.full(len(x), np.nan), **more)
 
 
 def _from_file(
-    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore
-) -> tuple[Series, Measurements] | None:
+    reader: TableReader, kind: str, end: float, files: FileStore
+) -> tuple[Series | None, Measurements | None]:
+    """Return the readings of a file, and its table; None, and faults, where they are wrong."""
     name, skip, drop = (reader.read(key) for key in ("file", "skip", "drop"))
     roles = ("r" if kind == "profile" else "time", "value")
     columns, units = (read_texts(reader, key, roles) for key in ("columns", "units"))
@@ -136,7 +145,7 @@ def _from_file(
         with _as_faults(reader, "file"):
             data = files(name, skip, drop)
     if columns is None or units is None or data is None:
-        return None
+        return None, data
     if not columns and len(data.columns) == len(roles) and not {*roles} & {*data.columns}:
         columns = dict(zip(roles, data.columns, strict=True))
     names = [columns.get(role, role) for role in roles]
@@ -145,23 +154,22 @@ def _from_file(
         for role, name, base in zip(roles, names, (BASE[roles[0]], BASE[kind]), strict=True)
     )
     if of_x is None or of_value is None:
-        return None
+        return None, data
     (_, x_scale), (unit, scale) = of_x, of_value
-    rows, hour, timed = data.filled(*names), None, roles[0] == "time"
-    if timed:
+    rows, hour = data.filled(*names), None
+    if roles[0] == "time":
         rows, hour = data.first_stamps(names[0], rows), 3600.0 / x_scale
     x, value = np.full((2, int(rows.sum())), np.nan)
     with _as_faults(reader, "file"):
         x = x_scale * data.numbers(names[0], rows, hour)
     with _as_faults(reader, "file"):
         value = scale * data.numbers(names[1], rows)
-    if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
+    if hour and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
         x = x - x[0]
         begin = f"{data.name}: the times begin with {legible(first)}, after the end of the test"
         warn_once(f"{begin}; they are taken as times of day, that of the first reading as 0")
-    read = replace(data, rows=tuple(compress(data.rows, rows)), lines=data.lines[rows])
-    more = {"unit": unit, "factor": scale, "lines": read.lines, "file": data.name}
-    return _series(kind, x, value, at, end, **more), read
+    more = {"unit": unit, "factor": scale, "lines": data.lines[rows], "file": data.name}
+    return Series(kind, kind, x, value, np.full(len(x), np.nan), **more), data
 
 
 @cache
@@ -202,15 +210,15 @@ def _column_unit(
 
 
 def read_noise(
-    reader: TableReader, series: Series, data: Measurements | None, keep: BoolArray
+    reader: TableReader, series: Series, data: Measurements | None
 ) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
     entry, value, unknown = reader.raw("sd"), series.value, np.full(series.n, np.nan)
     if entry == "fit":
-        if keep.sum() < _SMOOTH:
-            more = "" if keep.all() else " that are not excluded"
+        if series.n < _SMOOTH:
+            more = " that are not excluded" if series.excluded else ""
             reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
-        return np.full(series.n, _scatter(value[keep])), True
+        return np.full(series.n, _scatter(value)), True
     if isinstance(entry, Mapping):
         (share,) = read_all(inner(reader, "sd"))
         smooth = np.abs(median_filter(value, min(_SMOOTH, series.n) or 1, mode="nearest"))

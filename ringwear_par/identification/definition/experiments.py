@@ -102,7 +102,8 @@ def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experime
     reader.place = f'{reader.place} "{legible(name)}"'
     changes = changes_of(reader, files.folder)
     keyed = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
-    measured = [key for key, _ in keyed if key is not None]
+    keyed = [(key, entry) for key, entry in keyed if key is not None]
+    measured = [key for key, _ in keyed]
     case = cases.of(reader.place, changes, measured)
     inputs, case = read_inputs(keyed, case, files)
     specimen, batch, lab = (reader.read(group) for group in GROUPS)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray
 from ringwear_par.cases.case import Case, density_keys
-from ringwear_par.cases.files.columns import FileStore, read_intervals
+from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import counted
 from ringwear_par.files.measurements import and_more
@@ -64,13 +64,12 @@ def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Ser
         return None
     kind, _, body = quantity.partition(".")
     reader.place = f"{reader.place} ({quantity})"
-    end, profile = math.inf if case is None else case.time.end, kind == "profile"
+    end = math.inf if case is None else case.time.end
     density = _density(reader, body, case) if kind == "mass" else 1.0
     if kind == "through" and case is not None and not getattr(case, body).layers:
         reader.fault(f"{body} has no layers; must have one at least")
-    excluded = read_intervals(reader, "exclude", "mm" if profile else "s")
     nuisances = _nuisances(reader, kind, case)
-    if profile:
+    if kind == "profile":
         refuse(reader, "for a profile, it is for noise in time", "correlation_time")
     correlation = reader.read("correlation_time")
     if correlation > _LONGEST_CORRELATION * end:
@@ -80,21 +79,18 @@ def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Ser
             "noise that never changes is an offset",
         )
     read = read_readings(reader, kind, end, files)
+    for name in ("sd", "censored"):
+        reader.raw(name)
+    reader.finish()
     if read is None:
-        for name in ("sd", "censored"):
-            reader.raw(name)
-        reader.finish()
         return None
     series, data = read
-    keep = _is_outside(series.x, excluded)
-    sd, fitted = read_noise(reader, series, data, keep)
-    censored = read_censored(reader, series.n, data)
-    reader.finish()
+    sd, fitted = read_noise(reader, series, data)
     series = replace(
         series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted, density=density,
-        nuisances=nuisances, correlation_time=correlation, excluded=tuple(excluded),
-        censored=censored,
-    ).part(keep)  # fmt: skip
+        nuisances=nuisances, correlation_time=correlation,
+        censored=read_censored(reader, series.n, data),
+    )  # fmt: skip
     if case is not None and len(reader.faults) == before:
         _check(reader, series, case)
     return series if len(reader.faults) == before else None
@@ -114,23 +110,27 @@ def _check(reader: TableReader, series: Series, case: Case) -> None:
             reader.fault(f"{place}, {a:g} to {b:g} mm; must have one at least")
     else:
         _check_times(reader, series, case.time.end)
-    if READING_KINDS[series.kind].unit == "mm":
-        highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
-        rule = f"must be less than the height of a body, {highest:g} mm; look at the unit"
-        deep = np.abs(series.value) > highest
-        _refuse_readings(reader, series, deep, f"{{value:g}} {series.unit}", rule)
+    height = min(ring.z[1] - ring.z[0] for ring in case.rings)
+    body = getattr(case, series.body)
+    volume = math.pi * (body.r[1] ** 2 - body.r[0] ** 2) * (body.z[1] - body.z[0])
+    mass = volume * (series.density or max(body.densities))
+    of_body = {
+        "mm": (height, "the height"),
+        "mm^3": (volume, "the volume"),
+        "g": (mass, "the mass"),
+    }
+    unit = READING_KINDS[series.kind].unit
+    if unit in of_body:
+        most, size = of_body[unit]
+        rule = f"must be less than {size} of a body, {most:g} {unit}; look at the unit"
+        beyond = np.abs(series.value) > most
+        _refuse_readings(reader, series, beyond, f"{{value:g}} {series.unit}", rule)
     free = [nuisance.kind for nuisance in series.nuisances if nuisance.free]
     if series.n <= len(free):
         reader.fault(
             f"has {counted(series.n, 'reading')}; must have more than nuisances "
             f"without prior or bounds, {', '.join(free)}, which fit so few exactly"
         )
-
-
-def _is_outside(x: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
-    """Return which of times or radii (n,) no interval holds."""
-    ends = np.array(intervals).reshape(-1, 2)
-    return ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
 
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
@@ -183,14 +183,15 @@ def _density(reader: TableReader, body: str, case: Case | None) -> float | None:
     if "density" in reader or case is None:
         return density
     densities = getattr(case, body).densities
-    keys = density_keys(body, len(densities) - 1)
-    if missing := [key for key, value in zip(keys, densities, strict=True) if not value]:
-        rule = f"must be given here, or as {', '.join(missing)} of the case (g/mm3)"
-        reader.wrong("density", rule)
-    low, high = DENSITIES
-    for key, value in zip(keys, densities, strict=True):
-        if value and not low <= value <= high:
-            reader.fault(f"{key} = {value:g}: must be from {low:g} to {high:g} g/mm3")
+    (low, high), keys = DENSITIES, density_keys(body, len(densities) - 1)
+    wrong = [
+        f"{key} = {value:g}" if value else key
+        for key, value in zip(keys, densities, strict=True)
+        if not (value and low <= value <= high)
+    ]
+    if wrong:
+        rule = f"must be given here, or in the case ({', '.join(wrong)})"
+        reader.wrong("density", f"{rule}, from {low:g} to {high:g} g/mm3")
     return densities[0] if len(set(densities)) == 1 else None
 
 
@@ -248,13 +249,13 @@ def averaged(series: Series, end: float) -> Series:
 
 
 def read_inputs(
-    readers: Sequence[tuple[str | None, TableReader]], case: Case | None, files: FileStore
+    readers: Sequence[tuple[str, TableReader]], case: Case | None, files: FileStore
 ) -> tuple[tuple[MeasuredInput, ...], Case | None]:
     """Return the inputs of an experiment that are right, and its case with them in their places.
 
     Parameters
     ----------
-    readers : of their tables, each with its key; None of a wrong one.
+    readers : of their tables, each with its key.
     case : has numbers in the places of what was measured.
     """
     inputs = list[MeasuredInput]()
@@ -268,15 +269,12 @@ def read_inputs(
 
 
 def _input(
-    key: str | None, reader: TableReader, case: Case | None, files: FileStore
+    key: str, reader: TableReader, case: Case | None, files: FileStore
 ) -> MeasuredInput | None:
     """Return an input, whose readings must be allowed in the case; None, and faults, of others."""
-    if key is None:
-        return None
     before, of_torque = len(reader.faults), key == "contact.friction"
     end = math.inf if case is None else case.time.end
     reader.place = f"{reader.place} ({key})"
-    excluded = read_intervals(reader, "exclude", "s")
     smooth, scale = reader.read("smooth"), reader.read("scale")
     if of_torque and "quantity" not in reader:
         reader.wrong("quantity", 'must be "torque"')
@@ -288,7 +286,7 @@ def _input(
     reader.finish()
     if read is None or case is None or len(reader.faults) > before:
         return None
-    series = replace(read[0], name=key).part(_is_outside(read[0].x, excluded))
+    series = replace(read[0], name=key)
     x, value = series.x, series.value
     _check_times(reader, series, end)
     if len(x) < FEWEST_READINGS:
