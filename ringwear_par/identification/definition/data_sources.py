@@ -263,8 +263,7 @@ def read_censored(reader: TableReader, n: int, data: Measurements | None) -> Int
     if word is None or word in _SIDES:
         return None if word is None else np.full(n, _SIDES[word])
     if data is None or word not in data.columns:
-        where = "" if data is None else f", or a column of {data.name}"
-        reader.wrong("censored", f'must be "below" or "above"{where}')
+        reader.wrong("censored", f"must be {keys_of(reader.loc)['censored'].allowed}")
         return None
     sides = [_SIDES.get(cell.strip()) for cell in data.cells(word)]
     if wrong := [row for row, side in enumerate(sides) if side is None]:

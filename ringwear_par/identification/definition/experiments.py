@@ -101,8 +101,7 @@ def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experime
         return None
     reader.place = f'{reader.place} "{legible(name)}"'
     changes = changes_of(reader, files.folder)
-    keyed = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
-    keyed = [(key, entry) for key, entry in keyed if key is not None]
+    keyed = [(key, table) for table in tables_in(reader, "input") if (key := table.read("key"))]
     measured = [key for key, _ in keyed]
     case = cases.of(reader.place, changes, measured)
     inputs, case = read_inputs(keyed, case, files)

@@ -67,8 +67,12 @@ def read_fit(
     alone, whose files grow and whose readings may be too few for a fit, or all ``others``. Raises
     InputError with all faults.
     """
-    tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
-    name, folder, tables, written = source_tables(tables_or_file, "fit")
+    if isinstance(source, Mapping) and isinstance(case := source.get("case"), Case):
+        if case.rebuild is None:
+            rule = "its text does not tell its keys; must be one that was read"
+            raise InputError(f"fit: case: {rule}")
+        source = {**source, "case": read_keys(case.text)}
+    name, folder, tables, written = source_tables(source, "fit")
     known = {"fit", "experiment", "tests"} & tables.keys()
     if not known and (kind := kinds(tables)) & {"case", "study"}:
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
@@ -158,23 +162,13 @@ def _tests(file: TableReader, base: Mapping[str, Any] | None, files: FileStore) 
     return tests | laboratory_tests(place, table, keys, base, files, file.faults)
 
 
-def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a fit with the keys of its case, where that is a Case."""
-    case = source.get("case")
-    if not isinstance(case, Case):
-        return dict(source)
-    if case.rebuild is None:
-        raise InputError("fit: case: its text does not tell its keys; must be one that was read")
-    return {**source, "case": read_keys(case.text)}
-
-
 def _read_settings(reader: TableReader) -> tuple[Settings, tuple[FittedParameter, ...]]:
     """Return how to fit, and the fitted keys, of ``[fit]``."""
     if gone := [key for key in _GONE if key in reader]:
         log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
         for key in gone:
             reader.raw(key)
-    parameters = read_parameters(reader, reader.raw("units", {}))
+    parameters = read_parameters(reader)
     level, loss = reader.read("level"), reader.read("loss")
     process = read_process(reader)
     reader.finish()
@@ -186,11 +180,12 @@ def _read_design_space(reader: TableReader) -> DesignSpace:
     criterion = reader.read("criterion")
     varied, budget = inner(reader, "vary"), inner(reader, "budget")
     reader.finish()
-    units = {}
-    for key in keys_of("design.vary"):
-        entry = varied.raw(key)
-        if isinstance(entry, list) and entry and has_unit(entry[0]):
-            units[key] = number_and_unit(entry[0])[1]
+    written = {key: varied.raw(key) for key in keys_of("design.vary")}
+    units = {
+        key: number_and_unit(entry[0])[1]
+        for key, entry in written.items()
+        if isinstance(entry, list) and entry and has_unit(entry[0])
+    }
     every = zip(keys_of("design.vary"), read_all(varied), strict=True)
     ranges = {key: value for key, value in every if value is not None}
     if all(key in ranges for key in _LOADS):
@@ -256,11 +251,6 @@ def _check_scatter(problem: Problem, faults: list[str]) -> None:
         )
     if not scatters:
         return
-    if all(s.censored is not None and s.censored.all() for e in experiments for s in e.series):
-        faults.append(
-            f"{name}: all readings are limits, which tell nothing of keys with scatter; some must "
-            "be values, or scatter absent"
-        )
     groups = zip(*(experiment.groups for experiment in experiments), strict=True)
     names = dict(zip(GROUPS, groups, strict=True))
     for group in GROUPS[1:]:

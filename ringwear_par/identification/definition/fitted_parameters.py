@@ -3,12 +3,9 @@
 The cases of tests must allow all values within the bounds, and not set the keys too.
 """
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.faults import LOADS
@@ -37,8 +34,6 @@ from ringwear_par.identification.definition.schema import (
 )
 from ringwear_par.studies.variations import split_key, unnested
 
-#: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
-_LOG_SCALE = 0.3
 #: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
 _LARGEST = 3.0
 #: tables of wear that may be random
@@ -47,20 +42,16 @@ _RANDOM = tuple(f"wear.{body}" for body in BODIES)
 _ELASTIC = ("thickness", "young", "poisson")
 
 
-def read_parameters(reader: TableReader, told: Any = None) -> tuple[FittedParameter, ...]:
-    """Return the fitted keys of a table; what is wrong with them is added to its faults.
-
-    Parameters
-    ----------
-    told : the table ``units``, of units in which keys are to be reported.
-    """
+def read_parameters(reader: TableReader) -> tuple[FittedParameter, ...]:
+    """Return the fitted keys of a table; what is wrong with them is added to its faults."""
     table, faults = reader.raw("parameters"), reader.faults
+    told = reader.raw("units", {}) if reader.loc == "fit" else {}
     if not isinstance(table, Mapping) or not table:
         rule = "parameters is missing or empty; must name one case key at least"
         reader.fault(rule, "parameters", "missing")
         return ()
     entries = unnested(table, keys_of("fit.parameters.KEY").keys())
-    if told is not None and not isinstance(told, Mapping):
+    if not isinstance(told, Mapping):
         reader.wrong("units", "must be a table of units by fitted key")
     units = unnested(told, set()) if isinstance(told, Mapping) else {}
     place, known = f"{reader.place}.units", [*entries]
@@ -86,8 +77,8 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
         return None
     before = len(faults)
     written = table.get("start") if isinstance(table, Mapping) else None
-    unit = number_and_unit(str(written))[1] if has_unit(written) else ""
-    unit = unit if told is None else str(told)
+    own_unit = number_and_unit(written)[1] if has_unit(written) else ""
+    unit = own_unit if told is None else str(told)
     try:
         unit = "" if not unit or math.isclose(factor(unit, base), 1.0) else unit
     except RejectedError:  # that of the start is refused below
@@ -104,11 +95,6 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
     entry.finish()
     if log and bounds is not None and bounds[0] <= 0:
         entry.wrong("bounds", 'must be two increasing numbers > 0 where scale = "log"')
-    if bounds is not None and number and not number.holds(np.array(bounds)).all():
-        allowed = f"{'>=' if number.ends else '>'} {number.low:g}"
-        if number.high < math.inf:
-            allowed += f" and {'<=' if number.ends else '<'} {number.high:g}"
-        entry.wrong("bounds", f"must be values that {path} may have, {allowed}")
     if start is not None and bounds is not None:
         check_start(entry, start, bounds)
     if len(faults) > before:
@@ -142,7 +128,7 @@ def _read_scatter(parameter: TableReader, key: str, log: bool, unit: str) -> Sca
     if not log and scale is None and "fit" in sizes.values():
         rule = 'where scale = "linear" and the scatter is "fit"'
         reader.wrong("prior", f"must be {{ half_t = scale }} in {unit} {rule}")
-    scale = scale or _LOG_SCALE
+    scale = scale or Scatter.scale
     known = {group: None if size == "fit" else size for group, size in sizes.items()}
     return Scatter(known, scale, start or 0.5 * scale)
 
@@ -155,27 +141,20 @@ def read_process(fit: TableReader) -> dict[str, ProcessNoise]:
         return {}
     entries, place = unnested(table, keys_of("fit.process.KEY").keys()), f"{fit.place}.process"
     name_unknown_keys(place, entries, _RANDOM, fit.faults, table="fit.process")
-    return {
-        key: _read_noise(f"{place}.{key}", entries[key], fit.faults)
-        for key in _RANDOM
-        if key in entries
-    }
+    return {key: _read_noise(fit, key, entries[key]) for key in _RANDOM if key in entries}
 
 
-def _read_noise(place: str, value: object, faults: list[str]) -> ProcessNoise:
-    if not isinstance(value, Mapping) and value != "fit":
-        rule = 'must be "fit", or a table of size or share, and prior'
-        faults.append(f"{place} = {shortened(value)}: {rule}")
-        return ProcessNoise()
-    before, table = len(faults), {"size": "fit"} if value == "fit" else value
-    reader = reader_of("fit.process.KEY", place, table, faults)
+def _read_noise(fit: TableReader, key: str, value: object) -> ProcessNoise:
+    table = {"size": "fit"} if value == "fit" else value
+    reader = reader_of("fit.process.KEY", f"{fit.place}.process.{key}", table, fit.faults)
+    before = len(fit.faults)
     size, share, scale = read_all(reader)
-    if len(faults) == before and (size is None) == (share is None):
-        reader.fault("must have one of size and share", code="missing")
+    if len(fit.faults) == before and (size is None) == (share is None):
+        reader.fault('must be "fit", or have one of size and share', code="missing")
     if size != "fit":
         refuse(reader, 'where the size is not "fit"', "prior")
         return ProcessNoise(size, share)
-    return ProcessNoise() if scale is None else ProcessNoise(scale=scale)
+    return ProcessNoise(scale=scale or ProcessNoise.scale)
 
 
 def unit_scale(parameter: FittedParameter) -> float:
@@ -218,11 +197,10 @@ def refuse_twice(
     single = expanded(changes)
     for path, table in [*single.items()]:
         single |= {f"{path}.{name}": 0 for name in table} if isinstance(table, Mapping) else {}
-    known = [(key, "is set") for key in sorted(single)]
-    known += [(parameter.key, "is fitted") for parameter in parameters]
-    known += [(key, "is an input") for key in measured]
-    for (key, how), (other, how_too) in itertools.combinations(known, 2):
-        same = key == other or (key in LOADS and other in LOADS)
-        if same and how_too != "is set":
-            sentence = f"{place}: {key}: {how}, and {other} {how_too}; must be only one"
-            faults.append(Fault(sentence, key, "conflict"))
+    known = dict.fromkeys(sorted(single), "is set")
+    new = [(parameter.key, "is fitted") for parameter in parameters]
+    for key, how in [*new, *((key, "is an input") for key in measured)]:
+        for other in sorted(known.keys() & (LOADS if key in LOADS else {key})):
+            sentence = f"{place}: {other}: {known[other]}, and {key} {how}; must be only one"
+            faults.append(Fault(sentence, other, "conflict"))
+        known[key] = how

@@ -25,6 +25,7 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.errors import legible
 from ringwear_par.files.smoothing import MOST_POINTS
+from ringwear_par.files.text import toml_value
 from ringwear_par.identification.definition.problem import (
     PLURALS,
     QUANTITIES,
@@ -36,10 +37,8 @@ from ringwear_par.identification.definition.problem import (
     Settings,
 )
 
-#: case keys that a rig measures in time, and fewest readings of them
-INPUT_KEYS, FEWEST_READINGS = (
-    ("contact.friction", "load.force", "load.pressure", "load.omega"), 10,
-)  # fmt: skip
+#: fewest readings of what a rig measures of a case in time
+FEWEST_READINGS = 10
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
 _MOST_EXPERIMENTS, _MOST_READINGS = 6, 100_000
@@ -206,7 +205,8 @@ KEYS: tuple[Key, ...] = (
           ("lab", "laboratory of the specimen; default: one for all"))),
     Key("experiment.set", *_CASE_KEYS, "-",
         "case keys that differ in this test; no fitted ones", None),
-    Key("experiment.input.key", *one_of(*INPUT_KEYS), "-",
+    Key("experiment.input.key",
+        *one_of("contact.friction", "load.force", "load.pressure", "load.omega"), "-",
         "case key whose values in time a rig measured; set and fit.parameters must not have it, "
         "nor experiment.data the torque of a friction"),
     Key("experiment.input.quantity", *one_of("torque"), "-",
@@ -372,6 +372,7 @@ def refuse(reader: TableReader, where: str, *names: str) -> None:
 
 
 def check_start(reader: TableReader, start: float, bounds: tuple[float, float]) -> None:
-    """Refuse a start beyond its bounds."""
+    """Refuse a start beyond its bounds, which are told as they are written."""
     if not bounds[0] <= start <= bounds[1]:
-        reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
+        written = toml_value(reader.raw("bounds", bounds))
+        reader.wrong("start", f"must be within its bounds, {written}")

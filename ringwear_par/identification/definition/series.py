@@ -276,11 +276,9 @@ def _input(
     end = math.inf if case is None else case.time.end
     reader.place = f"{reader.place} ({key})"
     smooth, scale = reader.read("smooth"), reader.read("scale")
-    if of_torque and "quantity" not in reader:
-        reader.wrong("quantity", 'must be "torque"')
-    elif not of_torque:
-        refuse(reader, "of a load or a speed, which is its own quantity", "quantity")
     reader.read("quantity")
+    if ("quantity" in reader) is not of_torque:
+        reader.wrong("quantity", 'must be "torque" for contact.friction, and absent for other keys')
     kind = "torque" if of_torque else key.partition(".")[2]
     read = read_readings(reader, kind, end, files)
     reader.finish()
