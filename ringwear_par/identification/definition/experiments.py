@@ -63,14 +63,13 @@ class Cases:
                 keys = override(self.base, {**places, **changes, **_STEPPING})
                 keys = override(keys, {**_OUTPUT, **(self.law or {}), **starts})
             case = make_case(keys, origin)
+            if case.mesh.geometry == "updated":
+                sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
+                raise InputError(Fault(sentence, "mesh.geometry", "conflict"))
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
             self.faults.extend(error.faults)
-            return None
-        if case.mesh.geometry == "updated":
-            sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
-            self.faults.append(Fault(sentence, "mesh.geometry", "conflict"))
             return None
         refuse_unfit(place, self.parameters, case, self.faults)
         return case

@@ -1,6 +1,8 @@
 """Fit files: a base case, the keys to fit, and experiments with their measurements."""
 
+import itertools
 import logging
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -191,7 +193,8 @@ def _read_design_space(reader: TableReader) -> DesignSpace:
     if all(key in ranges for key in _LOADS):
         varied.fault("load.pressure and load.force: only one of them may vary")
     seconds, count = read_all(budget)
-    return DesignSpace(criterion, ranges, seconds, count, units)
+    limit = (seconds or math.inf) * (1.0 + 1e-9)  # for round-off
+    return DesignSpace(criterion, ranges, limit, count, units)
 
 
 def _check_readings(
@@ -254,13 +257,13 @@ def _check_scatter(problem: Problem, faults: list[str]) -> None:
     groups = zip(*(experiment.groups for experiment in experiments), strict=True)
     names = dict(zip(GROUPS, groups, strict=True))
     for group in GROUPS[1:]:
-        seen: dict[str, str] = {}
-        for specimen, label in zip(names["specimen"], names[group], strict=True):
-            if seen.setdefault(specimen, label) != label:
-                faults.append(
-                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
-                    f'of "{legible(seen[specimen])}"; must be of one {group}'
-                )
+        pairs = sorted({*zip(names["specimen"], names[group], strict=True)})
+        faults += [
+            f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and of '
+            f'"{legible(other)}"; must be of one {group}'
+            for (specimen, label), (again, other) in itertools.pairwise(pairs)
+            if specimen == again
+        ]
     for key, group in fitted:
         count, plural = len({*names[group]}), PLURALS[group]
         if count == 1:
@@ -269,8 +272,8 @@ def _check_scatter(problem: Problem, faults: list[str]) -> None:
                 f"{group}; must be a number, or there must be at least 2 {plural}"
             )
         for small in GROUPS[: GROUPS.index(group)]:
-            pairs = {*zip(names[small], names[group], strict=True)}
-            if (key, small) in fitted and len(pairs) == count:
+            both = {*zip(names[small], names[group], strict=True)}
+            if (key, small) in fitted and len(both) == count:
                 faults.append(
                     f"{name}: scatter of {key}: {group} and {small} are the same groups; "
                     'only one of the two can be "fit"'

@@ -305,11 +305,6 @@ class MeasuredInput:
     radius: schedules.Quantity = 0.0
 
     @property
-    def unit(self) -> str:
-        """The unit of the key."""
-        return BASE.get(self.key.partition(".")[2], "1")
-
-    @property
     def of_torque(self) -> bool:
         """Whether a torque was read, which tells the friction."""
         return self.key == "contact.friction"
@@ -396,17 +391,12 @@ class DesignSpace:
     criterion: Criterion = "D"
     #: lowest and highest value of each key that varies
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    #: of all experiments together; None: no limit
-    seconds: float | None = None
+    #: at most, of all experiments together
+    seconds: float = math.inf
     #: how many
     experiments: int = 1
     #: in which ranges are written, by key; of others the case's own
     units: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def time_limit(self) -> float:
-        """Most seconds of all tests together, with a margin for round-off."""
-        return math.inf if self.seconds is None else self.seconds * (1.0 + 1e-9)
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,18 +154,15 @@ def _growth(reader: TableReader, case: Case | None) -> list[Nuisance]:
     faults, power = reader.faults, reader.read("power")
     prior, bounds = read_all(inner(reader, "amplitude", _NUISANCE))
     grown = Nuisance("thermal", prior, bounds, power=power)
-    if power and case is not None and case.load.force is None:
-        reader.wrong("power", 'needs load.control = "force"', "conflict")
-    elif power and case is not None and not friction_power(case)[1].any():
-        rule = "needs friction power, mu F omega > 0, at some time of the test"
+    if power and case and not (case.load.force and friction_power(case)[1].any()):
+        rule = 'needs load.control = "force" and friction power, mu F omega > 0, at some time'
         reader.wrong("power", rule, "conflict")
     before, time = len(faults), inner(reader, "time")
     start, prior, bounds = read_all(time)
     reader.finish()
-    if len(faults) > before:
-        return []
-    if bounds is None and prior is None:
+    if not {"prior", "bounds"} & time.keys():
         time.fault("has neither prior nor bounds; must have one of them at least", code="missing")
+    if len(faults) > before:
         return []
     if bounds is None:
         reach = _PRIOR_REACH * prior.sd

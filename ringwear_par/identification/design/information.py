@@ -64,7 +64,7 @@ def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     levels = (np.unique(np.linspace(*space.ranges[key], _LEVELS[key])).tolist() for key in varied)
     for values in itertools.product(*levels):
         keys = dict(zip(varied, values, strict=True))
-        if (end := keys.get("time.end", usual)) > space.time_limit:
+        if (end := keys.get("time.end", usual)) > space.seconds:
             continue
         named = [(key, keys[key]) for key in (*LOADS, "load.omega") if key in keys]
         words = [_in_words(space, key, value) for key, value in (*named, ("time.end", end))]

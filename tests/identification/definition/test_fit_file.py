@@ -138,7 +138,7 @@ def test_starts_and_ranges_may_have_units(good):
     assert (k.start, k.bounds) == (1e-7, (1e-9, 1e-5))
     assert (p0.bounds, p0.prior) == ((0.0, 200.0), (20.0, 5.0))
     assert problem.design.ranges == {"load.pressure": (20.0, 100.0), "time.end": (10.0, 120.0)}
-    assert problem.design.seconds == 300.0
+    assert problem.design.seconds == pytest.approx(300.0)
 
 
 LAYER = {"thickness": 1.0, "young": 5e3, "poisson": 0.3, "wear": {"law": "archard"}}
