@@ -31,7 +31,7 @@ def _covariance(readings: Readings) -> FloatArray:
     """Return the covariance (m, m) of the unknowns that readings and priors leave, linear."""
     refuse_unfit(readings)
     problem = readings.problem
-    start = problem.unknowns([*problem.start.values()])
+    start = problem.unknowns([p.start for p in problem.parameters])
     before = replace(before_tests(problem, None), draws=start[None])
     # tests of one specimen too are taken as if of several
     every = informations(readings, before)[:, 0]

@@ -52,7 +52,10 @@ def refuse_unfit(readings: Readings) -> None:
     InputError : all of them.
     """
     problem = readings.problem
-    start, tests = problem.unknowns([*problem.start.values()])[None], problem.experiments
+    start, tests = (
+        problem.unknowns([p.start for p in problem.parameters])[None],
+        problem.experiments,
+    )
     models = readings([(i, start) for i in range(len(tests))])
     faults = [
         f'{problem.name}: experiment "{legible(test.name)}": {series.name}: has the wrong sign: '

@@ -48,11 +48,16 @@ _SIDES = {"below": -1, "above": 1, "": 0}
 _ROUNDED = 2e-4
 #: keys that go with the one that tells the readings, or with none, by kind
 _OF_FILE, _OF_NUMBERS = ("columns", "units", "skip", "drop"), ("unit", "at")
-_SOURCES = {
+_SOURCES: dict[str, dict[str, tuple[str, ...]]] = {
     "profile": {"file": (*_OF_FILE, "at"), "r": _OF_NUMBERS},
     "through": {"value": ("unit",), "": ("unit",)},
 }
-_USUAL = {"file": _OF_FILE, "value": _OF_NUMBERS, "times": ("unit",), "": _OF_NUMBERS}
+_USUAL: dict[str, tuple[str, ...]] = {
+    "file": _OF_FILE,
+    "value": _OF_NUMBERS,
+    "times": ("unit",),
+    "": _OF_NUMBERS,
+}
 
 
 @contextmanager
@@ -109,7 +114,7 @@ def read_readings(
     ends = np.array(excluded).reshape(-1, 2)
     keep = ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
     series = replace(series, x=x, at=at, excluded=tuple(excluded)).part(keep)
-    if data is not None:
+    if data is not None and series.lines is not None:
         rows = compress(data.rows, np.isin(data.lines, series.lines))
         data = replace(data, rows=tuple(rows), lines=series.lines)
     return series, data
@@ -129,8 +134,9 @@ def _from_numbers(reader: TableReader, kind: str, source: str, at: float) -> Ser
     x = reader.read(source) if source in ("times", "r") else np.array([at])
     if x is None or value is None:
         return None
-    more = {"unit": str(unit), "factor": scale, "planned": source != "value"}
-    return Series(kind, kind, x, np.full(len(x), scale * value), np.full(len(x), np.nan), **more)
+    values, sd = np.full(len(x), scale * value), np.full(len(x), np.nan)
+    planned = source != "value"
+    return Series(kind, kind, x, values, sd, unit=str(unit), factor=scale, planned=planned)
 
 
 def _from_file(
@@ -168,8 +174,9 @@ def _from_file(
         x = x - x[0]
         begin = f"{data.name}: the times begin with {legible(first)}, after the end of the test"
         warn_once(f"{begin}; they are taken as times of day, that of the first reading as 0")
-    more = {"unit": unit, "factor": scale, "lines": data.lines[rows], "file": data.name}
-    return Series(kind, kind, x, value, np.full(len(x), np.nan), **more), data
+    sd, lines = np.full(len(x), np.nan), data.lines[rows]
+    series = Series(kind, kind, x, value, sd, unit=unit, factor=scale, lines=lines, file=data.name)
+    return series, data
 
 
 @cache

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 from ringwear_par.cases.case import Case, refuse_stop
@@ -18,10 +19,11 @@ from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
     FittedParameter,
+    MeasuredInput,
     Series,
 )
 from ringwear_par.identification.definition.schema import reader_of, tables_in
-from ringwear_par.identification.definition.series import read_inputs, read_series
+from ringwear_par.identification.definition.series import read_input, read_series
 
 #: what a fit needs of histories, and how they are stepped
 _STEPPING = {"time.scheme": "adaptive"}
@@ -101,20 +103,24 @@ def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experime
     reader.place = f'{reader.place} "{legible(name)}"'
     changes = changes_of(reader, files.folder)
     keyed = [(key, table) for table in tables_in(reader, "input") if (key := table.read("key"))]
-    measured = [key for key, _ in keyed]
-    case = cases.of(reader.place, changes, measured)
-    inputs, case = read_inputs(keyed, case, files)
+    case = cases.of(reader.place, changes, [key for key, _ in keyed])
+    inputs = list[MeasuredInput]()
+    for key, table in sorted(keyed, key=itemgetter(0), reverse=True):  # friction needs the load
+        measured = read_input(key, table, case, files)
+        if case is not None and measured is not None:
+            inputs.append(measured)
+            case = measured.applied(case)
     specimen, batch, lab = (reader.read(group) for group in GROUPS)
     data = tables_in(reader, "data", needed=True)
     reader.finish()
     every = [read_series(entry, case, files) for entry in data]
     series = [one for one in every if one is not None]
-    if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
+    if "contact.friction" in dict(keyed) and any(s.quantity == "torque" for s in series):
         reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
     if case is None:
         return None
     groups = (specimen or name, batch or "", lab or "")
-    return Experiment(name, case, _named(series), groups, inputs)
+    return Experiment(name, case, _named(series), groups, tuple(inputs))
 
 
 def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:

@@ -35,7 +35,6 @@ from ringwear_par.identification.definition.problem import (
     PLURALS,
     DesignSpace,
     Experiment,
-    FittedParameter,
     Problem,
     Settings,
     body_of_wear,
@@ -88,7 +87,14 @@ def read_fit(
     if wrong := [fault for fault in of_keys if fault.code != "missing"]:  # which tests may set
         base = None
         faults += wrong
-    settings, parameters = _read_settings(inner(file, "fit"))
+    fit = inner(file, "fit")
+    if gone := [key for key in _GONE if key in fit]:
+        log.warning("%s: %s: is not needed any more, and ignored", fit.place, ", ".join(gone))
+        for key in gone:
+            fit.raw(key)
+    parameters, process = read_parameters(fit), read_process(fit)
+    settings = Settings(fit.read("level"), fit.read("loss"), process)
+    fit.finish()
     alone = running is not None and not others
     files = FileStore(folder, growing=alone)
     tests = _tests(file, base, files)
@@ -162,19 +168,6 @@ def _tests(file: TableReader, base: Mapping[str, Any] | None, files: FileStore) 
         return tests
     place, keys = f"{file.place}: tests", keys_of("tests")
     return tests | laboratory_tests(place, table, keys, base, files, file.faults)
-
-
-def _read_settings(reader: TableReader) -> tuple[Settings, tuple[FittedParameter, ...]]:
-    """Return how to fit, and the fitted keys, of ``[fit]``."""
-    if gone := [key for key in _GONE if key in reader]:
-        log.warning("%s: %s: is not needed any more, and ignored", reader.place, ", ".join(gone))
-        for key in gone:
-            reader.raw(key)
-    parameters = read_parameters(reader)
-    level, loss = reader.read("level"), reader.read("loss")
-    process = read_process(reader)
-    reader.finish()
-    return Settings(level, loss, process), parameters
 
 
 def _read_design_space(reader: TableReader) -> DesignSpace:

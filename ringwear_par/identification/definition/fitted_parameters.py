@@ -77,7 +77,7 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
         return None
     before = len(faults)
     written = table.get("start") if isinstance(table, Mapping) else None
-    own_unit = number_and_unit(written)[1] if has_unit(written) else ""
+    own_unit = number_and_unit(str(written))[1] if has_unit(written) else ""
     unit = own_unit if told is None else str(told)
     try:
         unit = "" if not unit or math.isclose(factor(unit, base), 1.0) else unit

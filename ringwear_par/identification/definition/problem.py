@@ -428,11 +428,6 @@ class Problem:
         """Whether the values of some key differ between tests."""
         return any(parameter.scatter is not None for parameter in self.parameters)
 
-    @property
-    def start(self) -> dict[str, float]:
-        """The fitted keys at their starts."""
-        return {parameter.key: parameter.start for parameter in self.parameters}
-
     def unknowns(self, values: Sequence[float] | FloatArray) -> FloatArray:
         """Return the unknowns (m,) of values of the fitted keys."""
         return np.array([p.unknown(v) for p, v in zip(self.parameters, values, strict=True)])

@@ -86,18 +86,6 @@ def _number_or(*words: str, allowed: str) -> Values:
     return Values("any", lambda v: v if v in words else number(0.0).read(v), allowed)
 
 
-def _range() -> Values:
-    """Return two numbers above 0 that do not fall."""
-
-    def read(value: Any) -> tuple[float, ...]:
-        ends = entries(value, number(0.0).read, 2, 2)
-        if ends[0] > ends[1]:
-            raise RejectedError
-        return ends
-
-    return Values("any", read, "[lowest, highest], two numbers, above 0")
-
-
 def _column_keys(table: str) -> tuple[Key, ...]:
     """Return the keys of readings about the columns of their file, and what of it is left out."""
     texts = anything('texts for "time" and "value"; of a profile for "r" and "value"')
@@ -127,7 +115,7 @@ _NOISE = number(0.0)._replace(
 _FLAG = Values("any", of_type(bool), "true or false")
 _TABLE = text("the name of a table: a text file with commas, semicolons or tabs")
 _CASE_KEYS = anything("a table of case keys and their values")
-_BOUNDS, _OF_SCATTER = pair(-math.inf), 'KEY\'s; 1 where scale = "log"'
+_BOUNDS, _RANGE, _OF_SCATTER = pair(-math.inf), pair(1e-6), 'KEY\'s; 1 where scale = "log"'
 _USUAL, _SPACE = Settings(), DesignSpace()
 #: unit and meaning of nuisances
 _ERRORS = {
@@ -279,7 +267,7 @@ KEYS: tuple[Key, ...] = (
         "time constant at which the search begins"),
     Key("experiment.data.nuisance.thermal.time.prior", *_POSITIVE, "s",
         "what is known of the time constant without these readings: a normal distribution", None),
-    Key("experiment.data.nuisance.thermal.time.bounds", *_range(), "s",
+    Key("experiment.data.nuisance.thermal.time.bounds", *_RANGE, "s",
         "smallest and largest time constant; default: four sd of the prior from its mean, and "
         "at least a hundredth of that", None),
     Key("tests.file", *_TABLE, "-",
@@ -313,7 +301,7 @@ KEYS: tuple[Key, ...] = (
     Key("design.criterion", *one_of(*get_args(Criterion)), "-",
         "criterion for the next tests: D, smallest volume of the confidence ellipsoid; A, smallest "
         "mean variance, in widths of the bounds", _SPACE.criterion),
-    *(Key(f"design.vary.{name}", *_range(), unit, meaning, None)
+    *(Key(f"design.vary.{name}", *_RANGE, unit, meaning, None)
       for name, (unit, meaning) in _VARIED.items()),
     Key("design.budget.time.end", *number(0.0), "s", "total duration of the next tests", None),
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",

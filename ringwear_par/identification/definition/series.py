@@ -1,7 +1,6 @@
 """``[[experiment.data]]`` and ``[[experiment.input]]``: readings in the units of a case."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -245,30 +244,10 @@ def averaged(series: Series, end: float) -> Series:
     return replace(series, x=x, value=value, sd=sd, lines=None, censored=None)
 
 
-def read_inputs(
-    readers: Sequence[tuple[str, TableReader]], case: Case | None, files: FileStore
-) -> tuple[tuple[MeasuredInput, ...], Case | None]:
-    """Return the inputs of an experiment that are right, and its case with them in their places.
-
-    Parameters
-    ----------
-    readers : of their tables, each with its key.
-    case : has numbers in the places of what was measured.
-    """
-    inputs = list[MeasuredInput]()
-    # friction needs the load
-    for key, reader in sorted(readers, key=lambda entry: entry[0] == "contact.friction"):
-        entry = _input(key, reader, case, files)
-        if case is not None and entry is not None:
-            inputs.append(entry)
-            case = entry.applied(case)
-    return tuple(inputs), case
-
-
-def _input(
+def read_input(
     key: str, reader: TableReader, case: Case | None, files: FileStore
 ) -> MeasuredInput | None:
-    """Return an input, whose readings must be allowed in the case; None, and faults, of others."""
+    """Return a measured input of a case; None, and faults, where it is wrong or the case is."""
     before, of_torque = len(reader.faults), key == "contact.friction"
     end = math.inf if case is None else case.time.end
     reader.place = f"{reader.place} ({key})"
