@@ -8,13 +8,13 @@ from typing import Any
 
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
-from ringwear_par.cases.files.faults import Origin
+from ringwear_par.cases.files.faults import LOADS, Origin
 from ringwear_par.cases.files.keys import changes_of, naming, override
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
-from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
@@ -54,7 +54,7 @@ class Cases:
         measured : case keys that are inputs; they are numbers here.
         """
         known = changes if self.law is None else self.law
-        refuse_twice(place, known, self.parameters, measured, self.faults)
+        self._refuse_twice(place, known, measured)
         if self.base is None:
             return None
         places = {key: self.base.get(key, 1.0) for key in measured}
@@ -73,8 +73,43 @@ class Cases:
         except InputError as error:
             self.faults.extend(error.faults)
             return None
-        refuse_unfit(place, self.parameters, case, self.faults)
+        self._refuse_unfit(place, case)
         return case
+
+    def _refuse_twice(
+        self, place: str, changes: Mapping[str, Any], measured: Sequence[str]
+    ) -> None:
+        """Refuse each quantity that is set, fitted or an input, and known otherwise as well.
+
+        A table that is set, as of layers or of a user's law, may lack the fitted number: its start
+        fills the case.
+        """
+        single = expanded(changes)
+        for path, table in [*single.items()]:
+            single |= {f"{path}.{name}": 0 for name in table} if isinstance(table, Mapping) else {}
+        known = dict.fromkeys(single, "is set")
+        new = [(parameter.key, "is fitted") for parameter in self.parameters]
+        for key, how in [*new, *((key, "is an input") for key in measured)]:
+            for other in sorted(known.keys() & (LOADS if key in LOADS else {key})):
+                sentence = f"{place}: {other}: {known[other]}, and {key} {how}; must be only one"
+                self.faults.append(Fault(sentence, other, "conflict"))
+            known[key] = how
+
+    def _refuse_unfit(self, place: str, case: Case) -> None:
+        """Refuse each bound of a key that a case cannot have.
+
+        As of a layer that is thicker than its body, or of k_start of less than k. Where both of
+        these are fitted, values out of order are improbable.
+        """
+        keys = {parameter.key for parameter in self.parameters}
+        for key, bound in ((p.key, bound) for p in self.parameters for bound in p.bounds):
+            try:
+                case.replace({key: bound})
+            except InputError as error:
+                fault = error.faults[0]
+                if not any(other in fault for other in keys - {key}):
+                    sentence = f"{place}: {key}: no case at its bound {bound:g}: {fault}"
+                    self.faults.append(Fault(sentence, "fit.parameters.KEY.bounds", "not_allowed"))
 
 
 def read_experiments(

@@ -34,7 +34,6 @@ from ringwear_par.identification.definition.problem import (
     GROUPS,
     PLURALS,
     DesignSpace,
-    Experiment,
     Problem,
     Settings,
     body_of_wear,
@@ -101,7 +100,6 @@ def read_fit(
     if running is not None:
         tests = _chosen(name, tests, running, others)
     experiments = read_experiments(name, tests, Cases(base, parameters, faults), files)
-    _check_readings(name, experiments, settings, plans, faults)
     design = _read_design_space(inner(file, "design"))
     compared, laws = inner(file, "compare"), {}
     for law in [*compared.keys()]:
@@ -109,9 +107,10 @@ def read_fit(
         laws[law] = changes_of(reader, folder), read_parameters(reader)
         reader.finish()
     file.finish()
-    _refuse(faults)
     whose = f"{name}: without {legible(running or '')}" if others else name
     problem = Problem(whose, written, settings, parameters, experiments, {}, files.hashes, design)
+    _check_readings(problem, plans, faults)
+    _refuse(faults)
     if alone:
         return problem
     _check(problem, faults)
@@ -190,16 +189,11 @@ def _read_design_space(reader: TableReader) -> DesignSpace:
     return DesignSpace(criterion, ranges, limit, count, units)
 
 
-def _check_readings(
-    name: str,
-    experiments: Sequence[Experiment],
-    settings: Settings,
-    plans: bool,
-    faults: list[str],
-) -> None:
+def _check_readings(problem: Problem, plans: bool, faults: list[str]) -> None:
     """Refuse planned readings but for plans, and what does not go together with limits."""
-    for experiment, series in ((e, s) for e in experiments for s in e.series):
-        place = f'{name}: experiment "{legible(experiment.name)}": {series.name}'
+    settings = problem.settings
+    for test, series in ((e.name, s) for e in problem.experiments for s in e.series):
+        place = f'{problem.name}: experiment "{legible(test)}": {series.name}'
         if series.planned and not plans:
             rule = "must be given; planned readings are for --dry-run and ringwear design"
             sentence = f"{place}: file or value {rule}"

@@ -4,20 +4,17 @@ The cases of tests must allow all values within the bounds, and not set the keys
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.files.key_values import nearest_key
-from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.errors import Fault, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     GROUPS,
@@ -115,8 +112,7 @@ def _read_scatter(parameter: TableReader, key: str, log: bool, unit: str) -> Sca
     before, place = len(faults), f"{parameter.place}: scatter"
     reader = reader_of("fit.parameters.KEY.scatter", place, table, faults)
     unit = "1" if log else unit
-    read = {group: reader.read(group, unit=unit) for group in GROUPS}
-    sizes = {group: size for group, size in read.items() if size is not None}
+    sizes = {group: size for group in GROUPS if (size := reader.read(group, unit=unit))}
     scale, start = (reader.read(name, unit=unit) for name in ("prior", "start"))
     reader.finish()
     if not sizes and len(faults) == before:
@@ -160,47 +156,3 @@ def _read_noise(fit: TableReader, key: str, value: object) -> ProcessNoise:
 def unit_scale(parameter: FittedParameter) -> float:
     """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
-
-
-def refuse_unfit(
-    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
-) -> None:
-    """Add a fault for each bound of a key that a case cannot have.
-
-    As of a layer that is thicker than its body, or of k_start of less than k. Where both of these
-    are fitted, values out of order are improbable.
-    """
-    for parameter in parameters:
-        others = {other.key for other in parameters} - {parameter.key}
-        for bound in parameter.bounds:
-            try:
-                case.replace({parameter.key: bound})
-            except InputError as error:
-                fault = error.faults[0]
-                if not any(other in fault for other in others):
-                    sentence = f"{place}: {parameter.key}: no case at its bound {bound:g}: {fault}"
-                    faults.append(Fault(sentence, "fit.parameters.KEY.bounds", "not_allowed"))
-
-
-def refuse_twice(
-    place: str,
-    changes: Mapping[str, Any],
-    parameters: Sequence[FittedParameter],
-    measured: Sequence[str],
-    faults: list[str],
-) -> None:
-    """Add a fault for each quantity that is set, fitted or an input, and known otherwise as well.
-
-    A table that is set, as of layers or of a user's law, may lack the fitted number: its start
-    fills the case.
-    """
-    single = expanded(changes)
-    for path, table in [*single.items()]:
-        single |= {f"{path}.{name}": 0 for name in table} if isinstance(table, Mapping) else {}
-    known = dict.fromkeys(sorted(single), "is set")
-    new = [(parameter.key, "is fitted") for parameter in parameters]
-    for key, how in [*new, *((key, "is an input") for key in measured)]:
-        for other in sorted(known.keys() & (LOADS if key in LOADS else {key})):
-            sentence = f"{place}: {other}: {known[other]}, and {key} {how}; must be only one"
-            faults.append(Fault(sentence, other, "conflict"))
-        known[key] = how

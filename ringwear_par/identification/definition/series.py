@@ -228,8 +228,6 @@ def averaged(series: Series, end: float) -> Series:
     parts_before = (series.x[:, None] > np.array([low for low, _ in series.excluded])).sum(axis=1)
     is_first = (np.diff(block, prepend=-1.0) != 0) | (np.diff(parts_before, prepend=-1) != 0)
     first = np.flatnonzero(is_first)
-    if first.size == series.n:
-        return series
     counts = np.diff(first, append=series.n)
     if series.correlation_time:
         return series.part(first + counts - 1)
