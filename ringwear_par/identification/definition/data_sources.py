@@ -53,11 +53,8 @@ _SOURCES: dict[str, dict[str, tuple[str, ...]]] = {
     "through": {"value": ("unit",), "": ("unit",)},
 }
 _USUAL: dict[str, tuple[str, ...]] = {
-    "file": _OF_FILE,
-    "value": _OF_NUMBERS,
-    "times": ("unit",),
-    "": _OF_NUMBERS,
-}
+    "file": _OF_FILE, "value": _OF_NUMBERS, "times": ("unit",), "": _OF_NUMBERS,
+}  # fmt: skip
 
 
 @contextmanager

@@ -216,8 +216,8 @@ def _check_readings(problem: Problem, plans: bool, faults: list[str]) -> None:
 def _check(problem: Problem, faults: list[str]) -> None:
     """Refuse what readings cannot tell, as more unknowns than there are readings."""
     series = [record for experiment in problem.experiments for record in experiment.series]
-    free = sum(p.prior is None for p in problem.parameters)
-    free += sum(n.free for record in series for n in record.nuisances)
+    nuisances = [nuisance.free for record in series for nuisance in record.nuisances]
+    free = sum(p.prior is None for p in problem.parameters) + sum(nuisances)
     if (readings := sum(record.n for record in series)) < free:
         faults.append(
             f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "

@@ -49,7 +49,7 @@ QUANTITIES = tuple(
 )
 #: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
-    "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
+    "time": "s", "r": "mm", "force": "N", "pressure": "MPa", "omega": "rad/s",
     **{name: kind.unit for name, kind in READING_KINDS.items()},
 }  # fmt: skip
 Loss = Literal["gaussian", "student"]
@@ -106,11 +106,6 @@ class ProcessNoise:
     def fitted(self) -> bool:
         """Whether its size is fitted."""
         return self.size is None and self.share is None
-
-    @property
-    def expected_share(self) -> float:
-        """What a dry run and a design assume where its size is not known."""
-        return 0.5 * self.scale if self.share is None else self.share
 
 
 def body_of_wear(key: str) -> str:

@@ -127,13 +127,6 @@ _ERRORS = {
     "tilt": ("data's/mm",
              "tilt of the profile: error over the distance from the middle of the contact"),
 }  # fmt: skip
-#: unit and meaning of keys that vary between next tests
-_VARIED = {
-    "load.pressure": ("MPa", "mean pressure"),
-    "load.force": ("N", "axial force, instead of the mean pressure"),
-    "load.omega": ("rad/s", "angular speed"),
-    "time.end": ("s", "duration"),
-}
 
 
 def _quantities_with(kind: str) -> str:
@@ -301,8 +294,10 @@ KEYS: tuple[Key, ...] = (
     Key("design.criterion", *one_of(*get_args(Criterion)), "-",
         "criterion for the next tests: D, smallest volume of the confidence ellipsoid; A, smallest "
         "mean variance, in widths of the bounds", _SPACE.criterion),
-    *(Key(f"design.vary.{name}", *_RANGE, unit, meaning, None)
-      for name, (unit, meaning) in _VARIED.items()),
+    Key("design.vary.load.pressure", *_RANGE, "MPa", "mean pressure", None),
+    Key("design.vary.load.force", *_RANGE, "N", "axial force, instead of the mean pressure", None),
+    Key("design.vary.load.omega", *_RANGE, "rad/s", "angular speed", None),
+    Key("design.vary.time.end", *_RANGE, "s", "duration", None),
     Key("design.budget.time.end", *number(0.0), "s", "total duration of the next tests", None),
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),

@@ -101,29 +101,20 @@ def _check(reader: TableReader, series: Series, case: Case) -> None:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
         return
     if series.profile:
-        (low, high), x, (a, b) = getattr(case, series.body).r, series.x, case.contact
+        (low, high), x = getattr(case, series.body).r, series.x
         rule = f"must be on the {series.body} body, from {low:g} to {high:g} mm"
         _refuse_readings(reader, series, (x < low) | (x > high), "r = {x:g} mm", rule)
-        if not ((x >= a) & (x <= b)).any():
-            place = f"{series.file or 'r'}: has no reading within the contact"
-            reader.fault(f"{place}, {a:g} to {b:g} mm; must have one at least")
     else:
         _check_times(reader, series, case.time.end)
     height = min(ring.z[1] - ring.z[0] for ring in case.rings)
     body = getattr(case, series.body)
     volume = math.pi * (body.r[1] ** 2 - body.r[0] ** 2) * (body.z[1] - body.z[0])
     mass = volume * (series.density or max(body.densities))
-    of_body = {
-        "mm": (height, "the height"),
-        "mm^3": (volume, "the volume"),
-        "g": (mass, "the mass"),
-    }
-    unit = READING_KINDS[series.kind].unit
-    if unit in of_body:
-        most, size = of_body[unit]
-        rule = f"must be less than {size} of a body, {most:g} {unit}; look at the unit"
-        beyond = np.abs(series.value) > most
-        _refuse_readings(reader, series, beyond, f"{{value:g}} {series.unit}", rule)
+    of_body = {"mm": ("height", height), "mm^3": ("volume", volume), "g": ("mass", mass)}
+    size, most = of_body.get(unit := READING_KINDS[series.kind].unit, ("", math.inf))
+    rule = f"must be less than the {size} of a body, {most:g} {unit}; look at the unit"
+    beyond = np.abs(series.value) > most
+    _refuse_readings(reader, series, beyond, f"{{value:g}} {series.unit}", rule)
     free = [nuisance.kind for nuisance in series.nuisances if nuisance.free]
     if series.n <= len(free):
         reader.fault(

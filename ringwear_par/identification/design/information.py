@@ -173,7 +173,7 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
     _, slopes = readings.with_slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
-    expected = [noise.expected_share for noise in problem.settings.process.values()]
+    expected = [n.share or 0.5 * n.scale for n in problem.settings.process.values()]
     of_sizes = np.sqrt(before.sizes / depths)
     shares = np.where(np.isnan(of_sizes), expected, of_sizes)
     worse = STUDENT if problem.settings.loss == "student" else 1.0
