@@ -219,9 +219,9 @@ def read_noise(
     """Return the standard deviation of each reading, and whether it is to be fitted."""
     entry, value, unknown = reader.raw("sd"), series.value, np.full(series.n, np.nan)
     if entry == "fit":
-        if series.n < _SMOOTH:
-            more = " that are not excluded" if series.excluded else ""
-            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
+        if series.n < _SMOOTH or series.planned:
+            rule = f'"fit" needs {_SMOOTH} readings at least, neither planned nor excluded'
+            reader.wrong("sd", f"must be a number: {rule}")
         return np.full(series.n, _scatter(value)), True
     if isinstance(entry, Mapping):
         (share,) = read_all(inner(reader, "sd"))

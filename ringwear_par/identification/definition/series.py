@@ -243,7 +243,8 @@ def read_input(
     smooth, scale = reader.read("smooth"), reader.read("scale")
     reader.read("quantity")
     if ("quantity" in reader) is not of_torque:
-        reader.wrong("quantity", 'must be "torque" for contact.friction, and absent for other keys')
+        rule = 'must be "torque" for contact.friction, and absent for other keys'
+        reader.wrong("quantity", rule, "conflict")
     kind = "torque" if of_torque else key.partition(".")[2]
     read = read_readings(reader, kind, end, files)
     reader.finish()

@@ -4,7 +4,7 @@ import copy
 
 import numpy as np
 import pytest
-from laboratory import CASE, PEN, PROF, changed, refused
+from laboratory import CASE, refused
 from paths import CASES
 
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -175,23 +175,3 @@ def test_faults_of_the_case_file_are_told_of_it_once(good, tmp_path):
     path.write_text(CASE.replace("[contact]", "[contact]\nfrction = 0.2"))
     (fault,) = refused(good | {"case": str(path)})
     assert fault.startswith(f"{path}: contact.frction: unknown key")
-
-
-MASS = {"quantity": "mass.lower", "density": 0.0019, "sd": 0.1}
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "words"),
-    [
-        (("fit", "parameters", "wear.lower.p0"), {"start": "1 GPa", "bounds": ["1 MPa", "9 MPa"]},
-         '"1 GPa": must be within its bounds, ["1 MPa", "9 MPa"]'),
-        (("experiments",), [], "did you mean experiment?"),
-        ((*PEN, "sd"), None, '"fit"'),
-        (PEN, {**MASS, "value": "3 kg"}, "must be less than the mass of a body"),
-        ((*PEN, "at"), 5.0, "must be absent beside file"),
-        ((*PROF, "times"), [1.0, 2.0], "must be absent beside file"),
-    ],
-)  # fmt: skip
-def test_refused(path, value, words, good):
-    (fault,) = refused(changed(good, path, value))
-    assert words in fault

@@ -113,11 +113,6 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
     assert "A: has no reading" in str(refused(tables))
 
 
-def test_an_empty_condition_is_not_that_of_the_case(folder):
-    (fault,) = refused(in_table(folder, TABLE.replace("B;S2;85;", "B;S2;;")))
-    assert "line 6: p is empty" in fault
-
-
 @pytest.mark.parametrize(
     ("cells", "row"),
     [
