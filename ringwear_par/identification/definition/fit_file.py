@@ -5,7 +5,7 @@ import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -218,75 +218,57 @@ def _check(problem: Problem, faults: list[str]) -> None:
     series = [record for experiment in problem.experiments for record in experiment.series]
     nuisances = [nuisance.free for record in series for nuisance in record.nuisances]
     free = sum(p.prior is None for p in problem.parameters) + sum(nuisances)
+    found = [*_faults_of_scatter(problem), *_faults_of_process(problem)]
     if (readings := sum(record.n for record in series)) < free:
-        faults.append(
-            f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
-            "parameters and nuisances"
-        )
-        return
-    _check_scatter(problem, faults)
-    _check_process(problem, faults)
+        rule = "must be at least as many as are fitted"
+        found = [f"{readings} readings: {rule}, {free} parameters and nuisances"]
+    faults += [f"{problem.name}: {sentence}" for sentence in found]
 
 
-def _check_scatter(problem: Problem, faults: list[str]) -> None:
-    """Add what readings cannot tell of the scatters to the faults."""
-    name, experiments, settings = problem.name, problem.experiments, problem.settings
+def _faults_of_scatter(problem: Problem) -> Iterator[str]:
+    """Yield what readings cannot tell of the scatters."""
     scatters = [(p.key, p.scatter) for p in problem.parameters if p.scatter is not None]
     fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
-    count = len(fitted) + sum(noise.fitted for noise in settings.process.values())
+    count = len(fitted) + sum(noise.fitted for noise in problem.settings.process.values())
     if count > _MOST_FITTED:
-        faults.append(
-            f'{name}: {count} sizes of scatter and process are "fit"; must be at most '
-            f"{_MOST_FITTED}"
-        )
+        yield f'{count} sizes of scatter and process are "fit"; must be at most {_MOST_FITTED}'
     if not scatters:
         return
-    groups = zip(*(experiment.groups for experiment in experiments), strict=True)
+    groups = zip(*(experiment.groups for experiment in problem.experiments), strict=True)
     names = dict(zip(GROUPS, groups, strict=True))
     for group in GROUPS[1:]:
         pairs = sorted({*zip(names["specimen"], names[group], strict=True)})
-        faults += [
-            f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and of '
-            f'"{legible(other)}"; must be of one {group}'
-            for (specimen, label), (again, other) in itertools.pairwise(pairs)
-            if specimen == again
-        ]
+        for (specimen, label), (again, other) in itertools.pairwise(pairs):
+            if specimen == again:
+                both = f'{group} "{legible(label)}" and of "{legible(other)}"'
+                yield f'specimen "{legible(specimen)}" is of {both}; must be of one {group}'
     for key, group in fitted:
-        count, plural = len({*names[group]}), PLURALS[group]
+        scatter, count, plural = f"scatter of {key}", len({*names[group]}), PLURALS[group]
         if count == 1:
-            faults.append(
-                f"{name}: scatter of {key} between {plural} cannot be fitted to one "
-                f"{group}; must be a number, or there must be at least 2 {plural}"
-            )
+            rule = f"must be a number, or there must be at least 2 {plural}"
+            yield f"{scatter} between {plural} cannot be fitted to one {group}; {rule}"
         for small in GROUPS[: GROUPS.index(group)]:
-            both = {*zip(names[small], names[group], strict=True)}
-            if (key, small) in fitted and len(both) == count:
-                faults.append(
-                    f"{name}: scatter of {key}: {group} and {small} are the same groups; "
-                    'only one of the two can be "fit"'
-                )
+            pairs_of_groups = {*zip(names[small], names[group], strict=True)}
+            if (key, small) in fitted and len(pairs_of_groups) == count:
+                same = f"{group} and {small} are the same groups"
+                yield f'{scatter}: {same}; only one of the two can be "fit"'
 
 
-def _check_process(problem: Problem, faults: list[str]) -> None:
-    """Add what readings cannot tell of wear's own noise to the faults."""
-    name, experiments = problem.name, problem.experiments
-    series = [(experiment.name, one) for experiment in experiments for one in experiment.series]
+def _faults_of_process(problem: Problem) -> Iterator[str]:
+    """Yield what readings cannot tell of wear's own noise."""
+    tests = problem.experiments
+    series = [(test.name, one) for test in tests for one in test.series]
     bodies = [body_of_wear(key) for key in problem.settings.process]
     for body in bodies:
         key = f"fit.process.wear.{body}"
-        if not any(experiment.case.laws[BODIES.index(body)] for experiment in experiments):
-            faults.append(f"{name}: {key}: {body} does not wear; must be a body with a wear law")
+        if not any(test.case.laws[BODIES.index(body)] for test in tests):
+            yield f"{key}: {body} does not wear; must be a body with a wear law"
         elif not any(one.tells_wear(body) for _, one in series):
-            faults.append(
-                f"{name}: {key}: no reading is of a depth, mass, volume or profile of {body}; must "
-                "have one at least"
-            )
+            kinds_of_body = f"depth, mass, volume or profile of {body}"
+            yield f"{key}: no reading is of a {kinds_of_body}; must have one at least"
     for test, one in series:
-        length = float(np.ptp(one.x))  # s
-        correlated = one.correlation_time > _LONGEST_CORRELATION * length
-        if correlated and any(map(one.tells_wear, bodies)):
-            faults.append(
-                f'{name}: experiment "{legible(test)}": {one.name}: correlation_time = '
-                f"{one.correlation_time:g}: cannot be told from wear's own noise (fit.process); "
-                f"must be at most {_LONGEST_CORRELATION:g} of the record, {length:g} s"
-            )
+        length, time = float(np.ptp(one.x)), one.correlation_time  # s
+        if time > _LONGEST_CORRELATION * length and any(map(one.tells_wear, bodies)):
+            state = f'experiment "{legible(test)}": {one.name}: correlation_time = {time:g}'
+            rule = f"must be at most {_LONGEST_CORRELATION:g} of the record, {length:g} s"
+            yield f"{state}: cannot be told from wear's own noise (fit.process); {rule}"

@@ -72,11 +72,8 @@ def read_series(reader: TableReader, case: Case | None, files: FileStore) -> Ser
         refuse(reader, "for a profile, it is for noise in time", "correlation_time")
     correlation = reader.read("correlation_time")
     if correlation > _LONGEST_CORRELATION * end:
-        reader.wrong(
-            "correlation_time",
-            f"must be at most {_LONGEST_CORRELATION:g} times the test, which ends at {end:g} s; "
-            "noise that never changes is an offset",
-        )
+        rule = f"must be at most {_LONGEST_CORRELATION:g} times the test, which ends at {end:g} s"
+        reader.wrong("correlation_time", f"{rule}; noise that never changes is an offset")
     read = read_readings(reader, kind, end, files)
     for name in ("sd", "censored"):
         reader.raw(name)
@@ -117,10 +114,8 @@ def _check(reader: TableReader, series: Series, case: Case) -> None:
     _refuse_readings(reader, series, beyond, f"{{value:g}} {series.unit}", rule)
     free = [nuisance.kind for nuisance in series.nuisances if nuisance.free]
     if series.n <= len(free):
-        reader.fault(
-            f"has {counted(series.n, 'reading')}; must have more than nuisances "
-            f"without prior or bounds, {', '.join(free)}, which fit so few exactly"
-        )
+        rule = f"must have more than nuisances without prior or bounds, {', '.join(free)}"
+        reader.fault(f"has {counted(series.n, 'reading')}; {rule}, which fit so few exactly")
 
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
@@ -256,10 +251,8 @@ def read_input(
     if len(x) < FEWEST_READINGS:
         reader.fault(f"has {len(x)} readings; must have {FEWEST_READINGS} at least")
     elif (covered := float(np.ptp(x)) / end) < _COVERED and not files.growing:
-        reader.fault(
-            f"readings from {x[0]:g} to {x[-1]:g} s cover {100.0 * covered:.3g} % of the test; "
-            f"must cover {100.0 * _COVERED:g} % at least"
-        )
+        state = f"readings from {x[0]:g} to {x[-1]:g} s cover {100.0 * covered:.3g} % of the test"
+        reader.fault(f"{state}; must cover {100.0 * _COVERED:g} % at least")
     if smooth == "none" and len(x) > MOST_POINTS:
         reader.wrong("smooth", f'must be "auto" or a time with more than {MOST_POINTS} readings')
     low = value <= 0.0 if of_torque else value < 0.0
