@@ -16,6 +16,7 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
+from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import (
     BASE,
     GROWTH_TIME,
@@ -237,12 +238,11 @@ def result_of(solution: Solution) -> FitResult:
 
 def _draws(solution: Solution, rows: Any, values: FloatArray, of_tests: FloatArray) -> Draws:
     """Return the draws that are kept, some rows of ``theta``: values of the material and tests."""
-    problem, theta = solution.problem, solution.theta[rows]
+    problem, theta, units = solution.problem, solution.theta[rows], units_of(solution.problem)
     keys, tests, scatterings = problem.keys, problem.experiments, solution.posterior.scatterings
     shares = solution.posterior.shares(theta).T
     return Draws(
-        keys, tuple(unit_of(key) or "1" for key in keys),
-        np.array([p.log for p in problem.parameters]),
+        keys, tuple(units[key] for key in keys), np.array([p.log for p in problem.parameters]),
         np.array([p.bounds for p in problem.parameters], dtype=float), values,
         {keys[s.key]: of_tests[..., s.key] for s in scatterings},
         {(keys[s.key], name): size(theta) for s in scatterings for name, size in s.levels.items()},

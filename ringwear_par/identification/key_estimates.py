@@ -15,7 +15,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.fitted_parameters import unit_scale
+from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
@@ -102,7 +102,7 @@ def key_entries(
     correlations : (m,) of the unknowns with nuisances, by their names.
     """
     problem, case = solution.problem, solution.problem.experiments[0].case
-    level, entries = problem.settings.level, {}
+    level, units, entries = problem.settings.level, units_of(problem), {}
     scatterings = {s.key: s for s in solution.posterior.scatterings}
     for j, parameter in enumerate(problem.parameters):
         low, high = map(parameter.unknown, parameter.bounds)
@@ -114,7 +114,7 @@ def key_entries(
             "verdict": verdict,
             "bounds": list(parameter.bounds),
             "of": "specimens",
-            "unit": base_unit(parameter.key) or "1",
+            "unit": units[parameter.key],
         }
         if verdict == "not identified":
             blamed = {name: float(of[j]) for name, of in correlations.items()}

@@ -9,7 +9,7 @@ from typing import Any
 
 from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.numbers import interval_of
-from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry
+from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry, unit_of
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
@@ -19,6 +19,7 @@ from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
+    Problem,
     ProcessNoise,
     Scatter,
 )
@@ -151,6 +152,11 @@ def _read_noise(fit: TableReader, key: str, value: object) -> ProcessNoise:
         refuse(reader, 'where the size is not "fit"', "prior")
         return ProcessNoise(size, share)
     return ProcessNoise(scale=scale or ProcessNoise.scale)
+
+
+def units_of(problem: Problem) -> dict[str, str]:
+    """Return the units of the fitted keys, "1" for none."""
+    return {key: unit_of(key) or "1" for key in problem.keys}
 
 
 def unit_scale(parameter: FittedParameter) -> float:
