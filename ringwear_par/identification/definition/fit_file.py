@@ -69,8 +69,7 @@ def read_fit(
     """
     if isinstance(source, Mapping) and isinstance(case := source.get("case"), Case):
         if case.rebuild is None:
-            rule = "its text does not tell its keys; must be one that was read"
-            raise InputError(f"fit: case: {rule}")
+            raise InputError("fit: case: its text has not its keys; must be one that was read")
         source = {**source, "case": read_keys(case.text)}
     name, folder, tables, written = source_tables(source, "fit")
     known = {"fit", "experiment", "tests"} & tables.keys()
