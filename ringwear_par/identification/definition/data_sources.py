@@ -1,4 +1,4 @@
-"""``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
+"""Where readings and measured inputs come from (file, value, plan), their noise and limits."""
 
 import logging
 import math

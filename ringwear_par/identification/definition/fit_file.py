@@ -1,4 +1,4 @@
-"""Fit files: a base case, the keys to fit, and experiments with their measurements."""
+"""Fit files as a whole: base case, keys to fit, experiments; what they must have together."""
 
 import itertools
 import logging

@@ -1,6 +1,6 @@
-"""``fit.parameters``: which case keys are fitted, from which starts and within which bounds.
+"""``[fit]``: which case keys are fitted, from which starts and within which bounds.
 
-The cases of tests must allow all values within the bounds, and not set the keys too.
+Their ``scatter`` is between specimens, batches and laboratories; ``process`` is of wear itself.
 """
 
 import math
