@@ -86,7 +86,8 @@ def read_readings(
     sources = _SOURCES.get(kind, _USUAL)
     source = next((name for name in sources if name in reader), "")
     where = f"beside {source}" if source else f"for a {kind}"
-    refuse(reader, where, *(set(known) - {source, *sources.get(source, _OF_NUMBERS)}))
+    allowed = source, *sources.get(source, _OF_NUMBERS)
+    refuse(reader, where, *(name for name in known if name not in allowed))
     at = reader.read("at") if "at" in known else None
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")

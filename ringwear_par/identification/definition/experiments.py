@@ -179,9 +179,8 @@ def _named(series: Sequence[Series]) -> tuple[Series, ...]:
     """Return series with names that differ."""
     counts, names, named = Counter(s.quantity for s in series), Counter[str](), []
     for record in series:
-        at = record.at
-        if at is None and record.n == 1 and counts[record.quantity] > 1:  # weighings
-            at = float(record.x[0])
+        weighing = record.at is None and record.n == 1 and counts[record.quantity] > 1
+        at = float(record.x[0]) if weighing else record.at
         name = record.quantity if at is None else f"{record.quantity} at {at:g} s"
         names[name] += 1
         again = f" ({names[name]})" if names[name] > 1 else ""

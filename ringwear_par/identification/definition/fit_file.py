@@ -195,8 +195,8 @@ def _check_readings(problem: Problem, plans: bool, faults: list[str]) -> None:
         place = f'{problem.name}: experiment "{legible(test)}": {series.name}'
         if series.planned and not plans:
             rule = "must be given; planned readings are for --dry-run and ringwear design"
-            sentence = f"{place}: file or value {rule}"
-            faults.append(Fault(sentence, "experiment.data.file", "missing"))
+            fault = Fault(f"{place}: file or value {rule}", "experiment.data.file", "missing")
+            faults.append(fault)
         limits = np.zeros(1) if series.censored is None else series.censored
         rules = {
             'must be absent with loss = "student"': settings.loss == "student",
