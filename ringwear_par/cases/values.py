@@ -132,7 +132,7 @@ def _finite(value: Any) -> float:
     return float(value)
 
 
-def _entries(value: Any, read: Reader, least: int = 1, most: float = math.inf) -> tuple[Any, ...]:
+def entries(value: Any, read: Reader, least: int = 1, most: float = math.inf) -> tuple[Any, ...]:
     """Return the entries of a list of so many, each as it is read."""
     if not isinstance(value, list) or not least <= len(value) <= most:
         raise RejectedError
@@ -141,7 +141,7 @@ def _entries(value: Any, read: Reader, least: int = 1, most: float = math.inf) -
 
 def _points(value: Any, read: Reader) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return abscissae, which must increase, and values of a list of pairs."""
-    pairs = _entries(value, lambda pair: _entries(pair, lambda entry: entry, 2, 2))
+    pairs = entries(value, lambda pair: entries(pair, lambda entry: entry, 2, 2))
     x = tuple(_finite(pair[0]) for pair in pairs)
     for before, after in itertools.pairwise(x):
         if after <= before:
@@ -213,10 +213,11 @@ def rates() -> Values:
     return Values("points", read, allowed)
 
 
-def _increasing(
+def increasing(
     value: Any, read: Reader, least: int = 1, most: float = math.inf
 ) -> tuple[float, ...]:
-    numbers = _entries(value, read, least, most)
+    """Return the numbers of a list of so many, which must increase, each as it is read."""
+    numbers = entries(value, read, least, most)
     if any(after <= before for before, after in itertools.pairwise(numbers)):
         raise RejectedError
     return numbers
@@ -226,12 +227,12 @@ def times() -> Values:
     """Return lists of increasing times, s, after the start."""
     return Values(
         "times",
-        lambda value: _increasing(value, number(0.0).read),
+        lambda value: increasing(value, number(0.0).read),
         "a list of increasing numbers > 0",
     )
 
 
-def _of(kind: type) -> Reader:
+def of_type(kind: type) -> Reader:
     """Return the reader of what is of a type."""
 
     def read(value: Any) -> Any:
@@ -249,7 +250,7 @@ def which_times(*names: str) -> Values:
     def read(value: Any) -> str | tuple[float, ...]:
         if isinstance(value, str):
             return one_of(value)
-        return _increasing(value, number(0.0, ends=True).read)
+        return increasing(value, number(0.0, ends=True).read)
 
     quoted = ", ".join(f'"{name}"' for name in names)
     return Values("times", read, f"{quoted} or a list of increasing times")
@@ -259,7 +260,7 @@ def pair(low: float) -> Values:
     """Return two increasing numbers."""
     entry = number(low, ends=True).read
     allowed = "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
-    return Values("pair", lambda value: _increasing(value, entry, 2, 2), allowed)
+    return Values("pair", lambda value: increasing(value, entry, 2, 2), allowed)
 
 
 def chamfer() -> Values:
@@ -268,7 +269,7 @@ def chamfer() -> Values:
     def read(value: Any) -> tuple[float | None, float]:
         if not isinstance(value, list):
             return None, width(value)
-        inner, outer = _entries(value, width, 2, 2)
+        inner, outer = entries(value, width, 2, 2)
         return inner, outer
 
     width = number(0.0, ends=True).read
@@ -301,7 +302,7 @@ def profile() -> Values:
     def read(value: Any) -> tuple[tuple[float, float], ...] | Shape:
         if isinstance(value, dict):
             return _shape(value)
-        return _entries(value, lambda point: _entries(point, _finite, 2, 2), 2)
+        return entries(value, lambda point: entries(point, _finite, 2, 2), 2)
 
     shapes = "{ crown, sphere, cone, fillet or file }"
     return Values("points", read, f"at least 2 points [r, z] of finite numbers or {shapes}")
@@ -317,7 +318,7 @@ def tables(content: str, most: int) -> Values:
     """
 
     def read(value: Any) -> tuple[dict[str, Any], ...]:
-        read_tables = _entries(value, _of(dict), 0)
+        read_tables = entries(value, of_type(dict), 0)
         if len(value) > most:
             raise RejectedError(f"there are {len(value)} of them")
         return read_tables
@@ -329,21 +330,21 @@ def places(*sides: str) -> Values:
     """Return lists of points, some with a side."""
 
     def read(point: Any) -> tuple[float, float, str]:
-        r, z, *side = _entries(point, lambda entry: entry, 2, 3)
+        r, z, *side = entries(point, lambda entry: entry, 2, 3)
         if not all(s in sides for s in side):
             raise RejectedError
         return _finite(r), _finite(z), str(*side)
 
     quoted = " or ".join(f'"{side}"' for side in sides)
     allowed = f"a list of points [r, z], or [r, z, side] with the side {quoted}"
-    return Values("places", lambda value: _entries(value, read), allowed)
+    return Values("places", lambda value: entries(value, read), allowed)
 
 
 def counts(low: int, high: int) -> Values:
     """Return pairs of whole numbers from one to another."""
     count = whole(low, high).read
     allowed = f"two whole numbers from {low} to {high:g}"
-    return Values("counts", lambda value: _entries(value, count, 2, 2), allowed)
+    return Values("counts", lambda value: entries(value, count, 2, 2), allowed)
 
 
 def choice(*names: str) -> Values:
@@ -373,7 +374,7 @@ def some_of(*names: str) -> Values:
     """Return lists of some names, in the order of these."""
 
     def read(value: Any) -> tuple[str, ...]:
-        chosen = _entries(value, choice(*names).read, 0)
+        chosen = entries(value, choice(*names).read, 0)
         return tuple(name for name in names if name in chosen)
 
     return Values("names", read, "a list of " + ", ".join(f'"{name}"' for name in names))
@@ -381,7 +382,7 @@ def some_of(*names: str) -> Values:
 
 def texts(allowed: str) -> Values:
     """Return lists of texts."""
-    return Values("names", lambda value: _entries(value, _of(str), 0), allowed)
+    return Values("names", lambda value: entries(value, of_type(str), 0), allowed)
 
 
 def text(allowed: str = "a text") -> Values:

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning, counted
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.problem import Problem, body_of_wear
-from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.definition.problem import PLURALS, Problem, body_of_wear
 from ringwear_par.identification.fitted_tests import FittedSeries
 from ringwear_par.identification.record_checks import trend
 from ringwear_par.identification.solution import Solution
@@ -146,7 +145,7 @@ def of_tests(
             of, more, spread = "different", ", or another law", heterogeneity(score, a, 0 * equal)
         q, freedom, scatter, p = spread
         own = float(np.median(a**-0.5))
-        times, unit = (100.0, " %") if parameter.log else (1.0, unit_of_key(problem, key))
+        times, unit = (100.0, " %") if parameter.log else (1.0, f" {unit_of(key)}".rstrip())
         text = (
             f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
             f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "

@@ -16,8 +16,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.identification.definition.problem import Problem, body_of_wear, reflected
-from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.definition.problem import PLURALS, Problem, body_of_wear, reflected
 from ringwear_par.results.files import atomic_hdf5, reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable, axis
 from ringwear_par.schedules import mean, mean_of_product

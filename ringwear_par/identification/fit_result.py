@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
@@ -126,7 +127,8 @@ class FitResult(Outcome):
                 _write_series(file.create_group(name), one, bodies)
             inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
             for number, (test, measured) in enumerate(inputs, start=1):
-                group, unit = file.create_group(f"inputs/{number}"), measured.unit
+                group = file.create_group(f"inputs/{number}")
+                unit = unit_of(measured.key) or "1"
                 group.attrs.update(experiment=test.name, key=measured.key, unit=unit)
                 time, readings = measured.series.x, measured.readings(test.case)
                 write_columns(group, {"reading": len(time)}, [
@@ -337,7 +339,7 @@ def _numbers_of_tests(
         curve, readings = measured.curve(test.case), measured.readings(test.case)
         off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
         entry = {
-            "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+            "time": list(curve.x), "value": list(curve.y), "unit": unit_of(measured.key) or "1",
             "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
         }  # fmt: skip
         if measured.scale is not None:

@@ -13,8 +13,7 @@ from scipy.interpolate import CubicSpline
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.problem import Experiment, Series
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
+from ringwear_par.identification.definition.problem import READING_KINDS, Experiment, Series
 
 #: share of a segment's length within which steps are equal; beyond it their logarithms are
 _EARLY = 5e-4

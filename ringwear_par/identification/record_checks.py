@@ -7,8 +7,12 @@ from scipy.stats import f as f_distribution
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.identification.definition.problem import Experiment, Series, records
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
+from ringwear_par.identification.definition.problem import (
+    READING_KINDS,
+    Experiment,
+    Series,
+    records,
+)
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.noise import Noise, Setting
 
@@ -48,7 +52,10 @@ def refuse_unfit(readings: Readings) -> None:
     InputError : all of them.
     """
     problem = readings.problem
-    start, tests = problem.unknowns([*problem.start.values()])[None], problem.experiments
+    start, tests = (
+        problem.unknowns([p.start for p in problem.parameters])[None],
+        problem.experiments,
+    )
     models = readings([(i, start) for i in range(len(tests))])
     faults = [
         f'{problem.name}: experiment "{legible(test.name)}": {series.name}: has the wrong sign: '

@@ -12,8 +12,7 @@ from scipy.special import softmax
 
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import counted, warning_lines
-from ringwear_par.identification.definition.problem import body_of_wear
-from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.definition.problem import PLURALS, body_of_wear
 
 Entry = Mapping[str, Any]
 

@@ -138,8 +138,10 @@ def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") ->
 
 def no_unit(table: Measurements, column: str, unit: str, hint: str = "") -> Fault:
     """Return the fault of a column that names no unit, as this one would be, see above."""
-    name = legible(column)
-    return Fault(f"{table.name}: {name}: no unit; name it {name} / {unit}{hint}", code="unit")
+    name, slash, written = column.partition(" / ")
+    state = f"{legible(written)} is no unit" if slash else "no unit"
+    advice = f"name it {legible(name)} / {unit}{hint}"
+    return Fault(f"{table.name}: {legible(column)}: {state}; {advice}", code="unit")
 
 
 def read_trace(path: Path) -> list[list[float]]:

@@ -1,22 +1,23 @@
-"""``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
+"""Where readings and measured inputs come from (file, value, plan), their noise and limits."""
 
 import logging
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
-from typing import Any
+from itertools import compress
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.columns import (
     UNITS,
     FileStore,
     missing_column,
     no_unit,
+    read_intervals,
     read_texts,
     unit_by_name,
 )
@@ -28,7 +29,7 @@ from ringwear_par.cases.units import (
     unit_of_column,
 )
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements
 from ringwear_par.files.table_text import is_clock
 from ringwear_par.files.text import shortened
@@ -45,19 +46,15 @@ _NEAR_ZERO = 0.05
 _SIDES = {"below": -1, "above": 1, "": 0}
 #: share of the test by which times may be later than its end, as when rounded to minutes
 _ROUNDED = 2e-4
-#: keys of a file, and all that tell where readings are from
-_OF_FILE = ("columns", "units", "skip", "drop")
-_SOURCES = ("file", *_OF_FILE, "value", "unit", "times", "r")
-
-
-@dataclass(frozen=True, eq=False)
-class Readings:
-    """Readings whose noise is not known yet, and where they are from."""
-
-    series: Series
-    #: the table and which of its rows have readings; None of others.
-    data: Measurements | None = None
-    rows: BoolArray | None = None
+#: keys that go with the one that tells the readings, or with none, by kind
+_OF_FILE, _OF_NUMBERS = ("columns", "units", "skip", "drop"), ("unit", "at")
+_SOURCES: dict[str, dict[str, tuple[str, ...]]] = {
+    "profile": {"file": (*_OF_FILE, "at"), "r": _OF_NUMBERS},
+    "through": {"value": ("unit",), "": ("unit",)},
+}
+_USUAL: dict[str, tuple[str, ...]] = {
+    "file": _OF_FILE, "value": _OF_NUMBERS, "times": ("unit",), "": _OF_NUMBERS,
+}  # fmt: skip
 
 
 @contextmanager
@@ -71,59 +68,79 @@ def _as_faults(reader: TableReader, key: str) -> Iterator[None]:
 
 
 def read_readings(
-    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore
-) -> Readings | None:
-    """Return the readings of a table of a fit file at ``at`` (s) or until the end (s) of the test.
+    reader: TableReader, kind: str, end: float, files: FileStore
+) -> tuple[Series, Measurements | None] | None:
+    """Return the readings of a table of a fit file, and the rows of their file, if they have one.
 
-    None, and faults, where there are none; ``kind`` is a name in ``READING_KINDS``.
+    Their noise is not known yet. None, and faults, where there are none.
+
+    Parameters
+    ----------
+    kind : a name in ``READING_KINDS``.
+    end : s, of the test.
     """
-    for name in _SOURCES:
-        if name in keys_of(reader.loc):
-            reader.raw(name)
-    where = "r" if kind == "profile" else "times"
-    if "file" in reader and kind != "through":
-        refuse(reader, "beside file", "value", "unit", "times", "r")
-        return _from_file(reader, kind, end, files)
-    planned, unit = kind == "profile" or "value" not in reader, reader.raw("unit", "")
-    once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
-    if planned and not once and where not in reader:
-        rule = f"must be given, or {where} of planned readings"
-        reader.wrong("file", rule)
-        return None
-    refuse(reader, f"with {where if planned else 'value'}", "file", *_OF_FILE)
-    x, value, key = np.array([end if at is None else at]), 0.0, "unit"
-    if planned:
-        refuse(reader, f"of a {kind}", "times" if kind == "profile" else "r")
-        x = reader.read(where) if where in reader else x
+    every = "file", "value", "times", "r", *_OF_FILE, *_OF_NUMBERS
+    known = [name for name in every if name in keys_of(reader.loc)]
+    for name in known:
+        reader.raw(name)
+    sources = _SOURCES.get(kind, _USUAL)
+    source = next((name for name in sources if name in reader), "")
+    where = f"beside {source}" if source else f"for a {kind}"
+    allowed = source, *sources.get(source, _OF_NUMBERS)
+    refuse(reader, where, *(name for name in known if name not in allowed))
+    at = reader.read("at") if "at" in known else None
+    if at is not None and at > end:
+        reader.wrong("at", f"must be within the test, which ends at {end:g} s")
+    excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
+    if source == "file" or "value" not in known:
+        found = _from_file(reader, kind, end, files)
+    elif source or kind in ("mass", "volume", "through") or (at and "" in sources):
+        found = _from_numbers(reader, kind, source, end if at is None else at), None
     else:
-        refuse(reader, "beside value", "times", "r")
-        written = reader.raw("value")
-        if isinstance(written, str) and "unit" not in reader:
-            key, unit = "value", number_and_unit(written)[1] if has_unit(written) else BASE[kind]
+        planned = "r" if kind == "profile" else "times"
+        reader.wrong("file", f"must be given, or {planned} of planned readings")
+        return None
+    series, data = found
+    if series is None:
+        return None
+    x = series.x
+    if kind == "through":  # and may be after the end
+        x = np.minimum(series.value, end)
+    elif kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
+        x = np.append(x[:-1], end)
+    at = (end if at is None else at) if kind == "profile" else None
+    ends = np.array(excluded).reshape(-1, 2)
+    keep = ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
+    series = replace(series, x=x, at=at, excluded=tuple(excluded)).part(keep)
+    if data is not None and series.lines is not None:
+        rows = compress(data.rows, np.isin(data.lines, series.lines))
+        data = replace(data, rows=tuple(rows), lines=series.lines)
+    return series, data
+
+
+def _from_numbers(reader: TableReader, kind: str, source: str, at: float) -> Series | None:
+    """Return a single reading at ``at`` (s), or planned ones; None, and faults, of wrong ones."""
+    key, unit, written = "unit", reader.raw("unit", ""), reader.raw("value")
+    if isinstance(written, str) and "unit" not in reader:
+        key, unit = "value", number_and_unit(written)[1] if has_unit(written) else BASE[kind]
     try:
         scale = factor(str(unit), BASE[kind])
     except RejectedError:
         reader.wrong(key, f"must be the unit of {UNITS[BASE[kind]]}", "unit")
         return None
-    if not planned:
-        value = reader.read("value", unit=str(unit))
+    value = reader.read("value", unit=str(unit)) if source == "value" else 0.0
+    x = reader.read(source) if source in ("times", "r") else np.array([at])
     if x is None or value is None:
         return None
-    values = np.full(len(x), scale * value)
-    series = _series(kind, x, values, end, unit=str(unit), factor=scale, planned=planned)
-    return Readings(series)
+    values, sd = np.full(len(x), scale * value), np.full(len(x), np.nan)
+    planned = source != "value"
+    return Series(kind, kind, x, values, sd, unit=str(unit), factor=scale, planned=planned)
 
 
-def _series(kind: str, x: FloatArray, value: FloatArray, end: float, **more: Any) -> Series:
-    """Return times or radii (n,) and values, in the units of a case, as a series."""
-    if kind == "through":  # and may be after the end
-        x = np.minimum(value, end)
-    elif kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
-        x = np.append(x[:-1], end)
-    return Series(kind, kind, x, value, np.full(len(x), np.nan), **more)
-
-
-def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> Readings | None:
+def _from_file(
+    reader: TableReader, kind: str, end: float, files: FileStore
+) -> tuple[Series | None, Measurements | None]:
+    """Return the readings of a file, and its table; None, and faults, where they are wrong."""
     name, skip, drop = (reader.read(key) for key in ("file", "skip", "drop"))
     roles = ("r" if kind == "profile" else "time", "value")
     columns, units = (read_texts(reader, key, roles) for key in ("columns", "units"))
@@ -132,34 +149,32 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         with _as_faults(reader, "file"):
             data = files(name, skip, drop)
     if columns is None or units is None or data is None:
-        return None
+        return None, data
     if not columns and len(data.columns) == len(roles) and not {*roles} & {*data.columns}:
         columns = dict(zip(roles, data.columns, strict=True))
     names = [columns.get(role, role) for role in roles]
-    bases = BASE[roles[0]], BASE[kind]
     of_x, of_value = (
         _column_unit(reader, data, role, name, units.get(role), base)
-        for role, name, base in zip(roles, names, bases, strict=True)
+        for role, name, base in zip(roles, names, (BASE[roles[0]], BASE[kind]), strict=True)
     )
     if of_x is None or of_value is None:
-        return None
+        return None, data
     (_, x_scale), (unit, scale) = of_x, of_value
-    rows, hour, timed = data.filled(*names), None, roles[0] == "time"
-    if timed:
+    rows, hour = data.filled(*names), None
+    if roles[0] == "time":
         rows, hour = data.first_stamps(names[0], rows), 3600.0 / x_scale
     x, value = np.full((2, int(rows.sum())), np.nan)
     with _as_faults(reader, "file"):
         x = x_scale * data.numbers(names[0], rows, hour)
     with _as_faults(reader, "file"):
         value = scale * data.numbers(names[1], rows)
-    if timed and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
+    if hour and len(x) and x[0] > end and is_clock(first := data.first_cell(names[0])):
         x = x - x[0]
         begin = f"{data.name}: the times begin with {legible(first)}, after the end of the test"
         warn_once(f"{begin}; they are taken as times of day, that of the first reading as 0")
-    series = _series(
-        kind, x, value, end, unit=unit, factor=scale, lines=data.lines[rows], file=data.name
-    )
-    return Readings(series, data, rows)
+    sd, lines = np.full(len(x), np.nan), data.lines[rows]
+    series = Series(kind, kind, x, value, sd, unit=unit, factor=scale, lines=lines, file=data.name)
+    return series, data
 
 
 @cache
@@ -179,78 +194,65 @@ def _column_unit(
     if missing := missing_column(data, column, role):
         reader.fault(missing, "columns")
         return None
-    try:
+    with _as_faults(reader, "units"):
         if unit:
             named = unit_of_column(data.label(column), base)
         else:
             named = unit_by_name(data, column, base, hint)
-        if not (unit or named) and role == "time" and data.begins_with_stamp(column):
-            named = base
-        scale = factor(unit or named or "", base)
-    except InputError as error:
-        reader.fault(error.faults[0], "units")
-    except RejectedError:
-        wrong = f"{state} must be the unit of {UNITS[base]}"
-        sentence = wrong if unit else no_unit(data, column, base, hint)
-        reader.fault(sentence, f"units.{role}", "unit")
-    else:
-        if not (unit and named) or math.isclose(factor(named, base), scale):
-            return unit or named or "", scale
-        by_name = f"the column {legible(column)} of {data.name} is in {legible(named)} by its name"
-        reader.fault(f"{state} {by_name}; must be the same unit", "units", "unit")
+        stamps = role == "time" and data.begins_with_stamp(column)
+        chosen = unit or named or (base if stamps else "")
+        try:
+            scale = factor(chosen, base)
+        except RejectedError as error:
+            wrong = Fault(f"{state} must be the unit of {UNITS[base]}", code="unit")
+            raise InputError(wrong if unit else no_unit(data, column, base, hint)) from error
+        if unit and named and not math.isclose(factor(named, base), scale):
+            by_name = f"the column {legible(column)} of {data.name} is in {legible(named)}"
+            rule = "by its name; must be the same unit"
+            raise InputError(Fault(f"{state} {by_name} {rule}", code="unit"))
+        return chosen, scale
     return None
 
 
-def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
+def read_noise(
+    reader: TableReader, series: Series, data: Measurements | None
+) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
-    entry, series, data = reader.raw("sd"), readings.series, readings.data
-    value, unknown = series.value, np.full(series.n, np.nan)
-    named, relative = isinstance(entry, str) and not has_unit(entry), isinstance(entry, Mapping)
-    if series.planned and (named or relative):
-        reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
-    elif entry == "fit":
-        if keep.sum() < _SMOOTH:
-            more = "" if keep.all() else " that are not excluded"
-            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
-        return np.full(series.n, _scatter(value[keep])), True
-    elif relative:
+    entry, value, unknown = reader.raw("sd"), series.value, np.full(series.n, np.nan)
+    if entry == "fit":
+        if series.n < _SMOOTH or series.planned:
+            rule = f'"fit" needs {_SMOOTH} readings at least, neither planned nor excluded'
+            reader.wrong("sd", f"must be a number: {rule}")
+        return np.full(series.n, _scatter(value)), True
+    if isinstance(entry, Mapping):
         (share,) = read_all(inner(reader, "sd"))
         smooth = np.abs(median_filter(value, min(_SMOOTH, series.n) or 1, mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
         if share is not None and small.any():
             rule = "must be in the data's unit where readings are near zero, as here"
-            reader.wrong("sd", lines_of(series)[int(small.argmax())] + rule)
+            reader.wrong("sd", line_of(series, int(small.argmax())) + rule)
         return unknown if share is None else share * smooth, False
-    elif named and (data is None or entry not in data.columns):
-        column = "" if data is None else f', "fit", a column of {data.name}'
-        reader.wrong("sd", f"must be a number > 0{column} or {{ relative = x }}")
-    elif named:
-        return _sd_column(reader, str(entry), readings), False
-    elif (single := reader.read("sd", unit=series.unit)) is not None:
-        return np.full(series.n, series.factor * single), False
-    return unknown, False
+    if data is not None and entry in data.columns:
+        return _sd_column(reader, data, entry, series), False
+    single = reader.read("sd", unit=series.unit)
+    return unknown if single is None else np.full(series.n, series.factor * single), False
 
 
-def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArray:
+def _sd_column(reader: TableReader, data: Measurements, column: str, series: Series) -> FloatArray:
     """Return the standard deviations in a column, in its own unit or that of the readings."""
-    data, rows, base = readings.data, readings.rows, BASE[readings.series.kind]
-    assert data is not None
-    assert rows is not None
-    sd, filled = np.full(len(data.rows), np.nan), rows & data.filled(column)
+    sd, filled, base = np.full(series.n, np.nan), data.filled(column), BASE[series.kind]
     with _as_faults(reader, "sd"):
-        unit = unit_by_name(data, column, base) or readings.series.unit
+        unit = unit_by_name(data, column, base) or series.unit
         sd[filled] = factor(unit, base) * data.numbers(column, filled)
-        if (wrong := np.flatnonzero(rows & ~(sd > 0.0))).size:
+        if (wrong := np.flatnonzero(~(sd > 0.0))).size:
             place = data.cell_place(column, int(wrong[0]), wrong.size)
             raise InputError(f"{place}: must be a number > 0")
-    return sd[rows]
+    return sd
 
 
-def lines_of(series: Series) -> list[str]:
-    """Return where readings stand, as sentences about them begin; "" of those in no file."""
-    if series.lines is None:
-        return [""] * series.n
-    return [f"{series.file}: line {line}: " for line in series.lines.tolist()]
+def line_of(series: Series, i: int) -> str:
+    """Return where a reading stands, as sentences about it begin; "" where it is in no file."""
+    return "" if series.lines is None else f"{series.file}: line {series.lines[i]}: "
 
 
 def _scatter(value: FloatArray) -> float:
@@ -260,19 +262,17 @@ def _scatter(value: FloatArray) -> float:
     return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9
 
 
-def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
+def read_censored(reader: TableReader, n: int, data: Measurements | None) -> IntArray | None:
     """Return the sides (n,) at which readings are limits: -1 at most, 1 at least; None for none."""
-    word, data, rows = reader.read("censored"), readings.data, readings.rows
+    word = reader.read("censored")
     if word is None or word in _SIDES:
-        return None if word is None else np.full(readings.series.n, _SIDES[word])
-    if data is None or rows is None or word not in data.columns:
-        where = "" if data is None else f", or a column of {data.name}"
-        reader.wrong("censored", f'must be "below" or "above"{where}')
+        return None if word is None else np.full(n, _SIDES[word])
+    if data is None or word not in data.columns:
+        reader.wrong("censored", f"must be {keys_of(reader.loc)['censored'].allowed}")
         return None
     sides = [_SIDES.get(cell.strip()) for cell in data.cells(word)]
-    wrong = [row for row in np.flatnonzero(rows).tolist() if sides[row] is None]
-    if wrong:
+    if wrong := [row for row, side in enumerate(sides) if side is None]:
         place = data.cell_place(word, wrong[0], len(wrong))
         reader.fault(f"{place}: must be below, above or empty", "censored")
         return None
-    return np.array([side for side, read in zip(sides, rows.tolist(), strict=True) if read])
+    return np.array(sides, dtype=int)

@@ -3,28 +3,27 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
-
-import numpy as np
 
 from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
-from ringwear_par.cases.files.faults import Origin
+from ringwear_par.cases.files.faults import LOADS, Origin
 from ringwear_par.cases.files.keys import changes_of, naming, override
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.history.refusals import check_case
-from ringwear_par.identification.definition.fitted_parameters import refuse_twice, refuse_unfit
-from ringwear_par.identification.definition.inputs import read_inputs
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
     FittedParameter,
+    MeasuredInput,
     Series,
 )
-from ringwear_par.identification.definition.schema import tables_in
-from ringwear_par.identification.definition.series import read_series
+from ringwear_par.identification.definition.schema import reader_of, tables_in
+from ringwear_par.identification.definition.series import read_input, read_series
 
 #: what a fit needs of histories, and how they are stepped
 _STEPPING = {"time.scheme": "adaptive"}
@@ -55,7 +54,7 @@ class Cases:
         measured : case keys that are inputs; they are numbers here.
         """
         known = changes if self.law is None else self.law
-        refuse_twice(place, known, self.parameters, measured, self.faults)
+        self._refuse_twice(place, known, measured)
         if self.base is None:
             return None
         places = {key: self.base.get(key, 1.0) for key in measured}
@@ -66,30 +65,67 @@ class Cases:
                 keys = override(self.base, {**places, **changes, **_STEPPING})
                 keys = override(keys, {**_OUTPUT, **(self.law or {}), **starts})
             case = make_case(keys, origin)
+            if case.mesh.geometry == "updated":
+                sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
+                raise InputError(Fault(sentence, "mesh.geometry", "conflict"))
             refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
             self.faults.extend(error.faults)
             return None
-        if case.mesh.geometry == "updated":
-            sentence = f'{place}: mesh.geometry = "updated": must be "fixed" in a fit'
-            self.faults.append(Fault(sentence, "mesh.geometry", "conflict"))
-            return None
-        refuse_unfit(place, self.parameters, case, self.faults)
+        self._refuse_unfit(place, case)
         return case
+
+    def _refuse_twice(
+        self, place: str, changes: Mapping[str, Any], measured: Sequence[str]
+    ) -> None:
+        """Refuse each quantity that is set, fitted or an input, and known otherwise as well.
+
+        A table that is set, as of layers or of a user's law, may lack the fitted number: its start
+        fills the case.
+        """
+        single = expanded(changes)
+        for path, table in [*single.items()]:
+            single |= {f"{path}.{name}": 0 for name in table} if isinstance(table, Mapping) else {}
+        known = dict.fromkeys(single, "is set")
+        new = [(parameter.key, "is fitted") for parameter in self.parameters]
+        for key, how in [*new, *((key, "is an input") for key in measured)]:
+            for other in sorted(known.keys() & (LOADS if key in LOADS else {key})):
+                sentence = f"{place}: {other}: {known[other]}, and {key} {how}; must be only one"
+                self.faults.append(Fault(sentence, other, "conflict"))
+            known[key] = how
+
+    def _refuse_unfit(self, place: str, case: Case) -> None:
+        """Refuse each bound of a key that a case cannot have.
+
+        As of a layer that is thicker than its body, or of k_start of less than k. Where both of
+        these are fitted, values out of order are improbable.
+        """
+        keys = {parameter.key for parameter in self.parameters}
+        for key, bound in ((p.key, bound) for p in self.parameters for bound in p.bounds):
+            try:
+                case.replace({key: bound})
+            except InputError as error:
+                fault = error.faults[0]
+                if not any(other in fault for other in keys - {key}):
+                    sentence = f"{place}: {key}: no case at its bound {bound:g}: {fault}"
+                    self.faults.append(Fault(sentence, "fit.parameters.KEY.bounds", "not_allowed"))
 
 
 def read_experiments(
-    name: str, readers: Sequence[TableReader], cases: Cases, files: FileStore
+    name: str, tests: Mapping[str, Any], cases: Cases, files: FileStore
 ) -> tuple[Experiment, ...]:
     """Return all experiments of a fit file; what is wrong with them is added to the faults.
 
     Parameters
     ----------
-    name : of the fit file.
-    readers : of the tables of the experiments.
+    name : of the fit file, or of another law in it.
+    tests : tables of the experiments, by where they stand.
     """
-    every = [_experiment(reader, cases, files) for reader in readers]
+    every = [
+        _experiment(reader_of("experiment", f"{name}: {where}", table, cases.faults), cases, files)
+        for where, table in tests.items()
+    ]
     experiments = tuple(experiment for experiment in every if experiment is not None)
     _refuse_twins(name, experiments, cases.faults)
     return experiments
@@ -101,75 +137,50 @@ def _experiment(reader: TableReader, cases: Cases, files: FileStore) -> Experime
         return None
     reader.place = f'{reader.place} "{legible(name)}"'
     changes = changes_of(reader, files.folder)
-    keyed = [(entry.read("key"), entry) for entry in tables_in(reader, "input")]
-    measured = [key for key, _ in keyed if key is not None]
-    case = cases.of(reader.place, changes, measured)
-    inputs, case = read_inputs(keyed, case, files)
+    keyed = [(key, table) for table in tables_in(reader, "input") if (key := table.read("key"))]
+    case = cases.of(reader.place, changes, [key for key, _ in keyed])
+    inputs = list[MeasuredInput]()
+    for key, table in sorted(keyed, key=itemgetter(0), reverse=True):  # friction needs the load
+        measured = read_input(key, table, case, files)
+        if case is not None and measured is not None:
+            inputs.append(measured)
+            case = measured.applied(case)
     specimen, batch, lab = (reader.read(group) for group in GROUPS)
     data = tables_in(reader, "data", needed=True)
     reader.finish()
     every = [read_series(entry, case, files) for entry in data]
     series = [one for one in every if one is not None]
-    if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
+    if "contact.friction" in dict(keyed) and any(s.quantity == "torque" for s in series):
         reader.fault("torque: is an input; cannot be fitted too", "input", "conflict")
     if case is None:
         return None
     groups = (specimen or name, batch or "", lab or "")
-    return Experiment(name, case, _named(series), groups, inputs, changes)
-
-
-def under_law(name: str, tests: Sequence[Experiment], cases: Cases) -> tuple[Experiment, ...]:
-    """Return tests under another law, as far as it is right; faults are added to its own.
-
-    Parameters
-    ----------
-    name : of the law in messages.
-    """
-    every = []
-    for test in tests:
-        place = f'{name}: experiment "{legible(test.name)}"'
-        case = cases.of(place, test.changes, [entry.key for entry in test.inputs])
-        if case is not None:
-            for entry in test.inputs:
-                case = entry.applied(case)
-            every.append(replace(test, case=case))
-    return tuple(every)
+    return Experiment(name, case, _named(series), groups, tuple(inputs))
 
 
 def _refuse_twins(name: str, experiments: Sequence[Experiment], faults: list[str]) -> None:
-    """Refuse experiments of one name, and the same lines of a file in two series."""
-    names, seen = set[str](), list[tuple[str, Series]]()
-    for experiment in experiments:
-        place = f'{name}: experiment "{legible(experiment.name)}"'
-        if experiment.name in names:
-            sentence = f"{place}: is there twice; names must differ"
-            faults.append(Fault(sentence, "experiment.name", "conflict"))
-            continue
-        names.add(experiment.name)
-        for series in experiment.series:
-            faults += [
-                f"{place}: {series.quantity}: {series.file} has the readings of experiment "
-                f'"{legible(owner)}"; must be read once'
-                for owner, earlier in seen if _same_readings(series, earlier)
-            ]  # fmt: skip
-            seen.append((experiment.name, series))
-
-
-def _same_readings(a: Series, b: Series) -> bool:
-    """Tell whether two series share lines of a file, with the same readings."""
-    if a.lines is None or b.lines is None or (a.file, a.quantity) != (b.file, b.quantity):
-        return False
-    _, first, second = np.intersect1d(a.lines, b.lines, return_indices=True)
-    return bool(len(first)) and np.array_equal(a.value[first], b.value[second])
+    """Refuse experiments of one name, and readings of a file that are there twice."""
+    owners = dict[Any, str]()
+    for name_of_test, count in Counter(experiment.name for experiment in experiments).items():
+        if count > 1:
+            sentence = f'{name}: experiment "{legible(name_of_test)}": is there twice'
+            faults.append(Fault(f"{sentence}; names must differ", "experiment.name", "conflict"))
+    for owner, series in ((e.name, s) for e in experiments for s in e.series if s.file):
+        content = series.file, series.quantity, series.x.tobytes(), series.value.tobytes()
+        if content in owners:
+            faults.append(
+                f'{name}: experiment "{legible(owner)}": {series.quantity}: {series.file} has the '
+                f'readings of experiment "{legible(owners[content])}"; must be read once'
+            )
+        owners[content] = owner
 
 
 def _named(series: Sequence[Series]) -> tuple[Series, ...]:
     """Return series with names that differ."""
     counts, names, named = Counter(s.quantity for s in series), Counter[str](), []
     for record in series:
-        at = record.at
-        if at is None and record.n == 1 and counts[record.quantity] > 1:  # weighings
-            at = float(record.x[0])
+        weighing = record.at is None and record.n == 1 and counts[record.quantity] > 1
+        at = float(record.x[0]) if weighing else record.at
         name = record.quantity if at is None else f"{record.quantity} at {at:g} s"
         names[name] += 1
         again = f" ({names[name]})" if names[name] > 1 else ""

@@ -1,50 +1,55 @@
-"""``fit.parameters``: which case keys are fitted, from which starts and within which bounds.
+"""``[fit]``: which case keys are fitted, from which starts and within which bounds.
 
-The cases of tests must allow all values within the bounds, and not set the keys too.
+Their ``scatter`` is between specimens, batches and laboratories; ``process`` is of wear itself.
 """
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.faults import LOADS
 from ringwear_par.cases.files.key_values import nearest_key
-from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.numbers import interval_of
-from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry
-from ringwear_par.cases.smooth_keys import smooth_keys
+from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry, unit_of
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import Fault, InputError, legible
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.errors import Fault, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import FittedParameter, Problem
-from ringwear_par.identification.definition.scatter import read_scatter
-from ringwear_par.identification.definition.schema import check_start, keys_of, reader_of
+from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    FittedParameter,
+    Problem,
+    ProcessNoise,
+    Scatter,
+)
+from ringwear_par.identification.definition.schema import (
+    check_start,
+    keys_of,
+    read_all,
+    reader_of,
+    refuse,
+)
 from ringwear_par.studies.variations import split_key, unnested
 
+#: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
+_LARGEST = 3.0
+#: tables of wear that may be random
+_RANDOM = tuple(f"wear.{body}" for body in BODIES)
 #: entries of layers that may be fitted, beside numbers of their laws
 _ELASTIC = ("thickness", "young", "poisson")
 
 
-def read_parameters(reader: TableReader, told: Any = None) -> tuple[FittedParameter, ...]:
-    """Return the fitted keys of a table; what is wrong with them is added to its faults.
-
-    Parameters
-    ----------
-    told : the table ``units``, of units in which keys are to be reported.
-    """
+def read_parameters(reader: TableReader) -> tuple[FittedParameter, ...]:
+    """Return the fitted keys of a table; what is wrong with them is added to its faults."""
     table, faults = reader.raw("parameters"), reader.faults
+    told = reader.raw("units", {}) if reader.loc == "fit" else {}
     if not isinstance(table, Mapping) or not table:
         rule = "parameters is missing or empty; must name one case key at least"
         reader.fault(rule, "parameters", "missing")
         return ()
     entries = unnested(table, keys_of("fit.parameters.KEY").keys())
-    if told is not None and not isinstance(told, Mapping):
+    if not isinstance(told, Mapping):
         reader.wrong("units", "must be a table of units by fitted key")
     units = unnested(told, set()) if isinstance(told, Mapping) else {}
     place, known = f"{reader.place}.units", [*entries]
@@ -70,8 +75,8 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
         return None
     before = len(faults)
     written = table.get("start") if isinstance(table, Mapping) else None
-    unit = number_and_unit(str(written))[1] if has_unit(written) else ""
-    unit = unit if told is None else str(told)
+    own_unit = number_and_unit(str(written))[1] if has_unit(written) else ""
+    unit = own_unit if told is None else str(told)
     try:
         unit = "" if not unit or math.isclose(factor(unit, base), 1.0) else unit
     except RejectedError:  # that of the start is refused below
@@ -84,15 +89,10 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
     entry = reader_of("fit.parameters.KEY", f'{place}.parameters."{name}"', table, faults)
     start, bounds, prior = (entry.read(name, unit=base) for name in ("start", "bounds", "prior"))
     log = entry.read("scale") == "log"
-    scatter = read_scatter(entry, key, log, base or "")
+    scatter = _read_scatter(entry, key, log, base or "")
     entry.finish()
     if log and bounds is not None and bounds[0] <= 0:
         entry.wrong("bounds", 'must be two increasing numbers > 0 where scale = "log"')
-    if bounds is not None and number and not number.holds(np.array(bounds)).all():
-        allowed = f"{'>=' if number.ends else '>'} {number.low:g}"
-        if number.high < math.inf:
-            allowed += f" and {'<=' if number.ends else '<'} {number.high:g}"
-        entry.wrong("bounds", f"must be values that {path} may have, {allowed}")
     if start is not None and bounds is not None:
         check_start(entry, start, bounds)
     if len(faults) > before:
@@ -100,63 +100,65 @@ def _parameter(reader: TableReader, key: str, table: Any, told: Any) -> FittedPa
     return FittedParameter(key, start, bounds, log, prior, scatter, unit)
 
 
-def unit_scale(parameter: FittedParameter) -> float:
-    """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
-    return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
+def _read_scatter(parameter: TableReader, key: str, log: bool, unit: str) -> Scatter | None:
+    """Return the scatter of a fitted key, None where it has none; its faults are the reader's."""
+    value, faults = parameter.raw("scatter"), parameter.faults
+    if value is None:
+        return None
+    if key.startswith("load."):
+        rule = f"must be absent, {key} is set by the machine, not by the specimen"
+        parameter.wrong("scatter", rule, "conflict")
+        return None
+    table = value if isinstance(value, Mapping) else {"specimen": value}
+    before, place = len(faults), f"{parameter.place}: scatter"
+    reader = reader_of("fit.parameters.KEY.scatter", place, table, faults)
+    unit = "1" if log else unit
+    sizes = {group: size for group in GROUPS if (size := reader.read(group, unit=unit))}
+    scale, start = (reader.read(name, unit=unit) for name in ("prior", "start"))
+    reader.finish()
+    if not sizes and len(faults) == before:
+        reader.fault(f"must have one of {', '.join(GROUPS)}")
+    for name, size in {**sizes, "prior": scale}.items() if log else ():
+        if isinstance(size, float) and size > _LARGEST:
+            rule = f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
+            reader.wrong(name, rule)
+    if not log and scale is None and "fit" in sizes.values():
+        rule = 'where scale = "linear" and the scatter is "fit"'
+        reader.wrong("prior", f"must be {{ half_t = scale }} in {unit} {rule}")
+    scale = scale or Scatter.scale
+    known = {group: None if size == "fit" else size for group, size in sizes.items()}
+    return Scatter(known, scale, start or 0.5 * scale)
+
+
+def read_process(fit: TableReader) -> dict[str, ProcessNoise]:
+    """Return the process noise by key ("wear.lower"); its faults are the reader's."""
+    table = fit.raw("process", {})
+    if not isinstance(table, Mapping):
+        fit.wrong("process", "must be a table of wear.lower, wear.upper")
+        return {}
+    entries, place = unnested(table, keys_of("fit.process.KEY").keys()), f"{fit.place}.process"
+    name_unknown_keys(place, entries, _RANDOM, fit.faults, table="fit.process")
+    return {key: _read_noise(fit, key, entries[key]) for key in _RANDOM if key in entries}
+
+
+def _read_noise(fit: TableReader, key: str, value: object) -> ProcessNoise:
+    table = {"size": "fit"} if value == "fit" else value
+    reader = reader_of("fit.process.KEY", f"{fit.place}.process.{key}", table, fit.faults)
+    before = len(fit.faults)
+    size, share, scale = read_all(reader)
+    if len(fit.faults) == before and (size is None) == (share is None):
+        reader.fault('must be "fit", or have one of size and share', code="missing")
+    if size != "fit":
+        refuse(reader, 'where the size is not "fit"', "prior")
+        return ProcessNoise(size, share)
+    return ProcessNoise(scale=scale or ProcessNoise.scale)
 
 
 def units_of(problem: Problem) -> dict[str, str]:
     """Return the units of the fitted keys, "1" for none."""
-    known = smooth_keys(problem.experiments[0].case)
-    return {key: known[key] for key in problem.keys}
+    return {key: unit_of(key) or "1" for key in problem.keys}
 
 
-def unit_of_key(problem: Problem, key: str) -> str:
-    """Return the unit of a fitted key, with a blank before it; "" for none."""
-    unit = units_of(problem)[key]
-    return "" if unit in ("1", "-") else f" {unit}"
-
-
-def refuse_unfit(
-    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
-) -> None:
-    """Add a fault for each bound of a key that a case cannot have.
-
-    As of a layer that is thicker than its body, or of k_start of less than k. Where both of these
-    are fitted, values out of order are improbable.
-    """
-    for parameter in parameters:
-        others = {other.key for other in parameters} - {parameter.key}
-        for bound in parameter.bounds:
-            try:
-                case.replace({parameter.key: bound})
-            except InputError as error:
-                fault = error.faults[0]
-                if not any(other in fault for other in others):
-                    sentence = f"{place}: {parameter.key}: no case at its bound {bound:g}: {fault}"
-                    faults.append(Fault(sentence, "fit.parameters.KEY.bounds", "not_allowed"))
-
-
-def refuse_twice(
-    place: str,
-    changes: Mapping[str, Any],
-    parameters: Sequence[FittedParameter],
-    measured: Sequence[str],
-    faults: list[str],
-) -> None:
-    """Add a fault for each quantity that is set, fitted or an input, and known otherwise as well.
-
-    A table that is set, as of layers or of a user's law, may lack the fitted number: its start
-    fills the case.
-    """
-    single = expanded(changes)
-    for path, table in [*single.items()]:
-        single |= {f"{path}.{name}": 0 for name in table} if isinstance(table, Mapping) else {}
-    known = [(key, "is set") for key in sorted(single)]
-    known += [(parameter.key, "is fitted") for parameter in parameters]
-    known += [(key, "is an input") for key in measured]
-    for (key, how), (other, how_too) in itertools.combinations(known, 2):
-        same = key == other or (key in LOADS and other in LOADS)
-        if same and how_too != "is set":
-            sentence = f"{place}: {key}: {how}, and {other} {how_too}; must be only one"
-            faults.append(Fault(sentence, key, "conflict"))
+def unit_scale(parameter: FittedParameter) -> float:
+    """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
+    return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0

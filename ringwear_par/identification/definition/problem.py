@@ -3,19 +3,53 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from ringwear_par import schedules
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.files.smoothing import Smoothing, curve
-from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 
+
+@dataclass(frozen=True)
+class ReadingKind:
+    """A kind of readings, as "penetration", or "profile" of the quantity "profile.lower"."""
+
+    #: of the readings within the program
+    unit: str
+    #: kinds that these readings may have
+    nuisances: tuple[str, ...]
+    #: the variable of a history that is read in time, "worn_volume" of a body; None: it is read
+    #: along the radius, or once
+    variable: str | None
+    #: whether its quantities name a body
+    of_body: bool = False
+    #: whether they are of what is worn off: of the body that the quantity names, or of both
+    of_wear: bool = True
+
+
+_OF_RIGS = ("offset", "drift", "compliance", "thermal")
+READING_KINDS = {
+    "penetration": ReadingKind("mm", _OF_RIGS, "penetration"),
+    "approach": ReadingKind("mm", _OF_RIGS, "approach"),
+    "torque": ReadingKind("N mm", ("offset", "drift"), "torque", of_wear=False),
+    "profile": ReadingKind("mm", ("level", "tilt"), None, of_body=True),
+    "mass": ReadingKind("g", ("offset",), "worn_volume", of_body=True),
+    "volume": ReadingKind("mm^3", ("offset",), "worn_volume", of_body=True),
+    "through": ReadingKind("s", (), None, of_body=True),
+}
+#: the quantities that a series may be of
+QUANTITIES = tuple(
+    quantity
+    for name, kind in READING_KINDS.items()
+    for quantity in ([f"{name}.{body}" for body in BODIES] if kind.of_body else [name])
+)
 #: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
-    "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
+    "time": "s", "r": "mm", "force": "N", "pressure": "MPa", "omega": "rad/s",
     **{name: kind.unit for name, kind in READING_KINDS.items()},
 }  # fmt: skip
 Loss = Literal["gaussian", "student"]
@@ -29,8 +63,9 @@ class Prior(NamedTuple):
     sd: float
 
 
-#: groups of tests between which values may scatter, the smallest first
-GROUPS = ("specimen", "batch", "lab")
+#: groups of tests between which values may scatter, the smallest first, and their plurals
+PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
+GROUPS = (*PLURALS,)
 
 
 @dataclass(frozen=True)
@@ -71,11 +106,6 @@ class ProcessNoise:
     def fitted(self) -> bool:
         """Whether its size is fitted."""
         return self.size is None and self.share is None
-
-    @property
-    def expected_share(self) -> float:
-        """What a dry run and a design assume where its size is not known."""
-        return 0.5 * self.scale if self.share is None else self.share
 
 
 def body_of_wear(key: str) -> str:
@@ -270,11 +300,6 @@ class MeasuredInput:
     radius: schedules.Quantity = 0.0
 
     @property
-    def unit(self) -> str:
-        """The unit of the key."""
-        return BASE.get(self.key.partition(".")[2], "1")
-
-    @property
     def of_torque(self) -> bool:
         """Whether a torque was read, which tells the friction."""
         return self.key == "contact.friction"
@@ -310,8 +335,8 @@ class Experiment:
     groups: tuple[str, str, str] = ("", "", "")
     #: what of the case was measured
     inputs: tuple[MeasuredInput, ...] = ()
-    #: keys in which its case differs from that of the fit file
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    #: of a test that could be made: the keys that vary
+    changes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def torque_input(self) -> MeasuredInput | None:
@@ -342,11 +367,6 @@ class Experiment:
         """When each reading was made, (n,) s."""
         return np.concatenate([np.full(s.n, s.at) if s.profile else s.x for s in self.series])
 
-    @property
-    def bends_within(self) -> bool:
-        """Whether layers may be worn through, where readings have kinks."""
-        return any(len(laws) > 1 for laws in self.case.laws)
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -368,17 +388,12 @@ class DesignSpace:
     criterion: Criterion = "D"
     #: lowest and highest value of each key that varies
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    #: of all experiments together; None: no limit
-    seconds: float | None = None
+    #: at most, of all experiments together
+    seconds: float = math.inf
     #: how many
     experiments: int = 1
     #: in which ranges are written, by key; of others the case's own
     units: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def time_limit(self) -> float:
-        """Most seconds of all tests together, with a margin for round-off."""
-        return math.inf if self.seconds is None else self.seconds * (1.0 + 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,11 +424,6 @@ class Problem:
     def scatters(self) -> bool:
         """Whether the values of some key differ between tests."""
         return any(parameter.scatter is not None for parameter in self.parameters)
-
-    @property
-    def start(self) -> dict[str, float]:
-        """The fitted keys at their starts."""
-        return {parameter.key: parameter.start for parameter in self.parameters}
 
     def unknowns(self, values: Sequence[float] | FloatArray) -> FloatArray:
         """Return the unknowns (m,) of values of the fitted keys."""

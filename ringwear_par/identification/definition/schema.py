@@ -14,7 +14,10 @@ from ringwear_par.cases.values import (
     RejectedError,
     Values,
     anything,
+    entries,
+    increasing,
     number,
+    of_type,
     one_of,
     pair,
     text,
@@ -22,19 +25,20 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.errors import legible
 from ringwear_par.files.smoothing import MOST_POINTS
+from ringwear_par.files.text import toml_value
 from ringwear_par.identification.definition.problem import (
+    PLURALS,
+    QUANTITIES,
+    READING_KINDS,
     Criterion,
     DesignSpace,
     Loss,
     Prior,
     Settings,
 )
-from ringwear_par.identification.definition.reading_kinds import QUANTITIES, READING_KINDS
 
-#: case keys that a rig measures in time, and fewest readings of them
-INPUT_KEYS, FEWEST_READINGS = (
-    ("contact.friction", "load.force", "load.pressure", "load.omega"), 10,
-)  # fmt: skip
+#: fewest readings of what a rig measures of a case in time
+FEWEST_READINGS = 10
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
 _MOST_EXPERIMENTS, _MOST_READINGS = 6, 100_000
@@ -47,19 +51,13 @@ def _instants() -> Values:
         if isinstance(value, Mapping) and value.keys() == {"from", "to", "count"}:
             low, high = pair(-math.inf).read([value["from"], value["to"]])
             return np.linspace(low, high, whole(2, _MOST_READINGS).read(value["count"]))
-        if not isinstance(value, list) or not 0 < len(value) <= _MOST_READINGS:
-            raise RejectedError
-        numbers = np.array([number(-math.inf).read(entry) for entry in value])
-        if (np.diff(numbers) <= 0.0).any():
-            raise RejectedError
-        return numbers
+        return np.array(increasing(value, number(-math.inf).read, 1, _MOST_READINGS))
 
-    return Values(
-        "times",
-        read,
+    allowed = (
         "{ from = a, to = b, count = n } with a < b and n from 2 to "
-        f"{_MOST_READINGS}, or a list of increasing numbers",
+        f"{_MOST_READINGS}, or a list of increasing numbers"
     )
+    return Values("times", read, allowed)
 
 
 def _only(name: str, read: Reader, allowed: str) -> Values:
@@ -77,22 +75,10 @@ def _prior(low: float, allowed: str) -> Values:
     """Return normal distributions whose mean is above a number."""
 
     def read(value: Any) -> Prior:
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            raise RejectedError
-        return Prior(number(low).read(value[0]), number(0.0).read(value[1]))
+        mean, sd = entries(value, lambda entry: entry, 2, 2)
+        return Prior(number(low).read(mean), number(0.0).read(sd))
 
     return _only("normal", read, f"[mean, sd] }}, two numbers{allowed}")
-
-
-def _flag() -> Values:
-    """Return true and false."""
-
-    def read(value: Any) -> bool:
-        if not isinstance(value, bool):
-            raise RejectedError
-        return value
-
-    return Values("any", read, "true or false")
 
 
 def _number_or(*words: str, allowed: str) -> Values:
@@ -100,18 +86,19 @@ def _number_or(*words: str, allowed: str) -> Values:
     return Values("any", lambda v: v if v in words else number(0.0).read(v), allowed)
 
 
-def _range() -> Values:
-    """Return two numbers above 0 that do not fall."""
-
-    def read(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise RejectedError
-        low, high = map(number(0.0).read, value)
-        if low > high:
-            raise RejectedError
-        return low, high
-
-    return Values("any", read, "[lowest, highest], two numbers, above 0")
+def _column_keys(table: str) -> tuple[Key, ...]:
+    """Return the keys of readings about the columns of their file, and what of it is left out."""
+    texts = anything('texts for "time" and "value"; of a profile for "r" and "value"')
+    return (
+        Key(f"{table}.columns", *texts, "-",
+            "names of the columns of file; default: time (or r) and value", None),
+        Key(f"{table}.units", *texts, "-",
+            "units of the columns of file, as pint writes them; default: the units in the columns' "
+            "names (z_um, z / um), which must agree; one of the two must be given", None),
+        *file_keys(table),
+        Key(f"{table}.exclude", *anything("a list of increasing pairs"), "s or mm",
+            "pairs of times (of radii for a profile) between which readings are left out", None),
+    )  # fmt: skip
 
 
 _PRIOR, _POSITIVE = _prior(-math.inf, ", sd > 0"), _prior(0.0, " > 0")
@@ -122,9 +109,13 @@ _SMOOTHING = _number_or("auto", "none", allowed='"auto", "none", or a time > 0')
 _DENSITY = number(*DENSITIES, ends=True)._replace(
     allowed="from {:g} to {:g} g/mm3, as of foams and metals".format(*DENSITIES)
 )
-_COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
+_NOISE = number(0.0)._replace(
+    allowed='a number > 0, the name of a column of file, { relative = x } or "fit"'
+)
+_FLAG = Values("any", of_type(bool), "true or false")
+_TABLE = text("the name of a table: a text file with commas, semicolons or tabs")
 _CASE_KEYS = anything("a table of case keys and their values")
-_BOUNDS = pair(-math.inf)
+_BOUNDS, _RANGE, _OF_SCATTER = pair(-math.inf), pair(1e-6), 'KEY\'s; 1 where scale = "log"'
 _USUAL, _SPACE = Settings(), DesignSpace()
 #: unit and meaning of nuisances
 _ERRORS = {
@@ -136,13 +127,6 @@ _ERRORS = {
     "tilt": ("data's/mm",
              "tilt of the profile: error over the distance from the middle of the contact"),
 }  # fmt: skip
-#: unit and meaning of keys that vary between next tests
-_VARIED = {
-    "load.pressure": ("MPa", "mean pressure"),
-    "load.force": ("N", "axial force, instead of the mean pressure"),
-    "load.omega": ("rad/s", "angular speed"),
-    "time.end": ("s", "duration"),
-}
 
 
 def _quantities_with(kind: str) -> str:
@@ -166,15 +150,13 @@ KEYS: tuple[Key, ...] = (
     Key("fit.parameters.KEY.scatter", *anything('"fit", a number > 0, or a table'), "-",
         "scatter of the key between specimens: \"fit\", a known standard deviation, or a table of "
         "these for specimen, batch and lab", None),
-    *(Key(f"fit.parameters.KEY.scatter.{group}", *_SIZE,
-          "KEY's; 1 where scale = \"log\"", f"standard deviation between {groups} (of the "
-          "logarithm where scale = \"log\"), or \"fit\"", None)
-      for group, groups in (("specimen", "specimens"), ("batch", "batches"),
-                            ("lab", "laboratories"))),
-    Key("fit.parameters.KEY.scatter.prior", *_HALF_T, "KEY's; 1 where scale = \"log\"",
+    *(Key(f"fit.parameters.KEY.scatter.{group}", *_SIZE, _OF_SCATTER,
+          f"standard deviation between {groups} (of the logarithm where scale = \"log\")", None)
+      for group, groups in PLURALS.items()),
+    Key("fit.parameters.KEY.scatter.prior", *_HALF_T, _OF_SCATTER,
         "scale of the half-t prior (4 degrees of freedom) of fitted scatter; default 0.3 where "
         "scale = \"log\", else required", None),
-    Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
+    Key("fit.parameters.KEY.scatter.start", *number(0.0), _OF_SCATTER,
         "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
         "of the prior", None),
     Key("fit.process.KEY", *anything('"fit", or a table'), "-",
@@ -197,30 +179,23 @@ KEYS: tuple[Key, ...] = (
         _USUAL.loss),
     Key("experiment.name", *text("a text, its name"), "-",
         "name of the test; names must differ"),
-    Key("experiment.specimen", *text("a text"), "-",
-        "specimen of the test; tests of one specimen share its values; default: the test's name",
-        None),
-    Key("experiment.batch", *text("a text"), "-", "batch of the specimen; default: one for all",
-        None),
-    Key("experiment.lab", *text("a text"), "-", "laboratory of the specimen; default: one for all",
-        None),
+    *(Key(f"experiment.{group}", *text("a text"), "-", meaning, None)
+      for group, meaning in (
+          ("specimen", "its specimen; tests of one share its values; default: the test's name"),
+          ("batch", "batch of the specimen; default: one for all"),
+          ("lab", "laboratory of the specimen; default: one for all"))),
     Key("experiment.set", *_CASE_KEYS, "-",
         "case keys that differ in this test; no fitted ones", None),
-    Key("experiment.input.key", *one_of(*INPUT_KEYS), "-",
+    Key("experiment.input.key",
+        *one_of("contact.friction", "load.force", "load.pressure", "load.omega"), "-",
         "case key whose values in time a rig measured; set and fit.parameters must not have it, "
         "nor experiment.data the torque of a friction"),
     Key("experiment.input.quantity", *one_of("torque"), "-",
         "torque, for contact.friction: mu is torque/(force r), r the mean radius of the pressures "
         "of the model's history; must be absent for other keys", None),
-    Key("experiment.input.file", *text("the name of a table, as of experiment.data.file"), "-",
+    Key("experiment.input.file", *_TABLE, "-",
         f"table of at least {FEWEST_READINGS} readings that cover 95 % of the test"),
-    Key("experiment.input.columns", *anything('texts for "time" and "value"'), "-",
-        "names of the columns of file; default: time and value", None),
-    Key("experiment.input.units", *anything('texts for "time" and "value"'), "-",
-        "units of the columns of file, as for experiment.data.units", None),
-    *file_keys("experiment.input"),
-    Key("experiment.input.exclude", *anything("a list of increasing pairs"), "s",
-        "pairs of times between which readings are left out", None),
+    *_column_keys("experiment.input"),
     Key("experiment.input.smooth", *_SMOOTHING, "s",
         "auto: a smoothing spline, denser early in the test, its knots and penalty by "
         "generalised cross-validation; a time: a smoothing spline that halves waves of this "
@@ -232,49 +207,36 @@ KEYS: tuple[Key, ...] = (
         "measured quantity. Depths, penetrations, masses and volumes are positive where material "
         "is lost; profile points outside the contact count as unworn; through is the time at which "
         "the first layer of a body is worn through anywhere (value)"),
-    Key("experiment.data.file",
-        *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
+    Key("experiment.data.file", *_TABLE, "-",
         "table of readings, relative to this file: a line of column names, perhaps a row of "
         "units, then numbers. Lines above the names, lines that begin with #, and cells that are "
         "empty or nan, n.a., n/a, NA, -, --- are skipped. Times may be dates with times "
         "(2026-03-14 08:15:00, 14.03.2026 08:15:00) or clock times: h:mm:ss, or h:min where "
         "units.time is h, min:s where it is min", None),
-    Key("experiment.data.columns", *_COLUMNS, "-",
-        "names of the columns of file; default: time (or r) and value", None),
-    Key("experiment.data.units", *_COLUMNS, "-",
-        "units of the columns of file, as pint writes them; default: the units in the columns' "
-        "names (z_um, z / um), which must agree; one of the two must be given", None),
-    *file_keys("experiment.data"),
+    *_column_keys("experiment.data"),
     Key("experiment.data.value", *number(-math.inf), "data's",
         "a single reading, instead of file; perhaps with its unit (\"6.1 mg\")", None),
     Key("experiment.data.unit", *anything("a unit that pint knows, of the quantity"), "-",
         "unit of value and sd, where value has none; with planned readings, of sd", None),
     Key("experiment.data.at", *number(0.0), "s",
         "time in the test at which the profile or value was measured; default: the end", None),
-    Key("experiment.data.times", *_instants(), "s",
-        "times of planned readings, instead of file; for --dry-run and ringwear design only", None),
-    Key("experiment.data.r", *_instants(), "mm",
-        "radii of a planned profile, instead of file; for --dry-run and "
-        "ringwear design only", None),
+    *(Key(f"experiment.data.{name}", *_instants(), unit,
+          f"{what}, instead of file; for --dry-run and ringwear design only", None)
+      for name, unit, what in (("times", "s", "times of planned readings"),
+                               ("r", "mm", "radii of a planned profile"))),
     Key("experiment.data.density", *_DENSITY, "g/mm^3",
-        "one density of all material that the weighed body has lost, layers included; default: "
-        "the densities of the body and its layers in the case. A mass needs one or the other",
-        None),
-    Key("experiment.data.sd", *number(0.0), "data's",
-        "standard deviation of the readings' noise: a number, the name of a column of file (in its "
-        "own unit, or the data's), { relative = x } (share of the running median of the readings) "
-        "or \"fit\", which estimates it"),
+        "one density of all that the weighed body has lost, layers included; default: the "
+        "densities of the body and its layers in the case. A mass needs one or the other", None),
+    Key("experiment.data.sd", *_NOISE, "data's",
+        "standard deviation of the readings' noise; that of a column of file is in its own unit, "
+        "or the data's; \"fit\" estimates it"),
     Key("experiment.data.sd.relative", *number(0.0), "1",
         "sd as a share of the running median of the readings"),
     Key("experiment.data.correlation_time", *number(0.0, ends=True), "s",
-        "correlation time of the noise (AR(1)), at most 100 times the duration of the test; not "
-        "for profiles",
-        0.0),
+        "correlation time of the noise (AR(1)), at most 100 times the test; not for profiles", 0.0),
     Key("experiment.data.censored", *text("below, above, or the name of a column of file"), "-",
         "readings of which only a limit is known: below, the true value is at most the reading; "
         "above, at least; or a column with these words, empty where the reading is a value", None),
-    Key("experiment.data.exclude", *anything("a list of increasing pairs"), "s or mm",
-        "pairs of times (of radii for a profile) between which readings are left out", None),
     *(Key(f"experiment.data.nuisance.{kind}",
           *anything("a table of prior and bounds, {} where nothing is known of the nuisance"), unit,
           f"{meaning} (for {_quantities_with(kind)})", None)
@@ -287,9 +249,8 @@ KEYS: tuple[Key, ...] = (
         "growth of rig and rings that warm up, amplitude (1 - exp(-t/time)), t from the start of "
         f"the test (for {_quantities_with('thermal')})", None),
     Key("experiment.data.nuisance.thermal.amplitude", *anything("a table of prior and bounds"),
-        "data's", "growth in the end, negative where rings grow; default: nothing is known of it",
-        None),
-    Key("experiment.data.nuisance.thermal.power", *_flag(), "-",
+        "data's", "growth in the end, negative where rings grow; default: nothing is known", None),
+    Key("experiment.data.nuisance.thermal.power", *_FLAG, "-",
         "whether growth goes with the friction power mu F omega: each change of it makes a growth "
         "of its own, and amplitude is that of the largest power of the test. Needs load.control = "
         "\"force\"", False),
@@ -299,11 +260,11 @@ KEYS: tuple[Key, ...] = (
         "time constant at which the search begins"),
     Key("experiment.data.nuisance.thermal.time.prior", *_POSITIVE, "s",
         "what is known of the time constant without these readings: a normal distribution", None),
-    Key("experiment.data.nuisance.thermal.time.bounds", *_range(), "s",
+    Key("experiment.data.nuisance.thermal.time.bounds", *_RANGE, "s",
         "smallest and largest time constant; default: four sd of the prior from its mean, and "
         "at least a hundredth of that", None),
-    Key("tests.file", *text("the name of a table: a text file with commas, semicolons or tabs"),
-        "-", "table of the laboratory, relative to this file, instead of [[experiment]]s or beside "
+    Key("tests.file", *_TABLE, "-",
+        "table of the laboratory, relative to this file, instead of [[experiment]]s or beside "
         "them: a row a test, whose first column is its name; columns of conditions, texts and "
         "masses, with their units in their names (F / N) or in a row below. Several rows of one "
         "name are weighings of one test, each with its time (at)"),
@@ -333,8 +294,10 @@ KEYS: tuple[Key, ...] = (
     Key("design.criterion", *one_of(*get_args(Criterion)), "-",
         "criterion for the next tests: D, smallest volume of the confidence ellipsoid; A, smallest "
         "mean variance, in widths of the bounds", _SPACE.criterion),
-    *(Key(f"design.vary.{name}", *_range(), unit, meaning, None)
-      for name, (unit, meaning) in _VARIED.items()),
+    Key("design.vary.load.pressure", *_RANGE, "MPa", "mean pressure", None),
+    Key("design.vary.load.force", *_RANGE, "N", "axial force, instead of the mean pressure", None),
+    Key("design.vary.load.omega", *_RANGE, "rad/s", "angular speed", None),
+    Key("design.vary.time.end", *_RANGE, "s", "duration", None),
     Key("design.budget.time.end", *number(0.0), "s", "total duration of the next tests", None),
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
@@ -392,6 +355,7 @@ def refuse(reader: TableReader, where: str, *names: str) -> None:
 
 
 def check_start(reader: TableReader, start: float, bounds: tuple[float, float]) -> None:
-    """Refuse a start beyond its bounds."""
+    """Refuse a start beyond its bounds, which are told as they are written."""
     if not bounds[0] <= start <= bounds[1]:
-        reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
+        written = toml_value(reader.raw("bounds", bounds))
+        reader.wrong("start", f"must be within its bounds, {written}")

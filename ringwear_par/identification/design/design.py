@@ -197,7 +197,7 @@ def _designs(
         gain, sd = before.then(sum(information[column] for column in rows.T))
         score = gain if problem.design.criterion == "D" else -np.square(sd / (high - low)).mean(-1)
         left = (count - rows.shape[1]) * seconds.min()
-        within = seconds[rows].sum(axis=1) + left <= problem.design.time_limit
+        within = seconds[rows].sum(axis=1) + left <= problem.design.seconds
         return np.where(within, score, -np.inf)
 
     rows = every[:, None] if count == 1 else np.column_stack(np.triu_indices(len(every)))
@@ -239,7 +239,7 @@ def _check(problem: Problem) -> None:
             raise InputError(f"{name}.vary: {key}: is fitted as well; must be one or the other")
     end = problem.experiments[0].case.time.end
     shortest = space.experiments * space.ranges.get("time.end", (end, end))[0]
-    if shortest > space.time_limit:
+    if shortest > space.seconds:
         raise InputError(
             f"{name}.budget: time.end = {space.seconds:g}: must be at least {shortest:g}, "
             f"{space.experiments} of the shortest tests"

@@ -13,10 +13,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, unit_of
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import ComputationError, counted
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
+from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
@@ -57,7 +57,7 @@ def candidates(space: DesignSpace, template: Experiment) -> tuple[Experiment, ..
     levels = (np.unique(np.linspace(*space.ranges[key], _LEVELS[key])).tolist() for key in varied)
     for values in itertools.product(*levels):
         keys = dict(zip(varied, values, strict=True))
-        if (end := keys.get("time.end", usual)) > space.time_limit:
+        if (end := keys.get("time.end", usual)) > space.seconds:
             continue
         name = ", ".join(_in_words(space, *entry) for entry in {**keys, "time.end": end}.items())
         series = tuple(_scaled(s, end, end / usual) for s in read.values())
@@ -166,7 +166,7 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     _, slopes = readings.with_slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
     shares = np.array([
-        noise.expected_share if noise.size is None else np.sqrt(noise.size / depth)
+        noise.share or 0.5 * noise.scale if noise.size is None else np.sqrt(noise.size / depth)
         for noise, depth in zip(before.process, depths, strict=True)
     ])  # fmt: skip
     worse = STUDENT if problem.settings.loss == "student" else 1.0
@@ -196,7 +196,7 @@ def in_users_units(problem: Problem, before: Before) -> tuple[list[str], dict[st
     for p, value, sd in zip(
         before.parameters, before.values.tolist(), np.sqrt(before.scatter).tolist(), strict=True
     ):
-        scale, unit = unit_scale(p), p.unit or unit_of_key(problem, p.key).strip()
+        scale, unit = unit_scale(p), p.unit or unit_of(p.key)
         about.append(f"{p.key} = {value / scale:.4g} {unit}".rstrip())
         times, of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
         scales[p.key] = {"factor": times, "unit": of_sd}

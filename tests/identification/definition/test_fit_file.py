@@ -138,7 +138,7 @@ def test_starts_and_ranges_may_have_units(good):
     assert (k.start, k.bounds) == (1e-7, (1e-9, 1e-5))
     assert (p0.bounds, p0.prior) == ((0.0, 200.0), (20.0, 5.0))
     assert problem.design.ranges == {"load.pressure": (20.0, 100.0), "time.end": (10.0, 120.0)}
-    assert problem.design.seconds == 300.0
+    assert problem.design.seconds == pytest.approx(300.0)
 
 
 LAYER = {"thickness": 1.0, "young": 5e3, "poisson": 0.3, "wear": {"law": "archard"}}
@@ -168,3 +168,10 @@ def test_a_law_that_set_brings_in_may_be_fitted(key, brought, table, good):
     given["experiment"][0]["set"] |= table
     (fault,) = refused(given)
     assert f"{key}: is set, and {key} is fitted" in fault
+
+
+def test_faults_of_the_case_file_are_told_of_it_once(good, tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text(CASE.replace("[contact]", "[contact]\nfrction = 0.2"))
+    (fault,) = refused(good | {"case": str(path)})
+    assert fault.startswith(f"{path}: contact.frction: unknown key")
