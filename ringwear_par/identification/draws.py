@@ -8,26 +8,34 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.identification.definition.problem import Problem, body_of_wear, reflected
-from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.results.files import atomic_hdf5, reading, write_variable
+from ringwear_par.identification.definition.problem import (
+    FittedParameter,
+    Problem,
+    body_of_wear,
+    reflected,
+)
+from ringwear_par.identification.definition.scatter import PLURALS, RANDOM
+from ringwear_par.results.files import reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable, axis
 from ringwear_par.schedules import mean, mean_of_product
 
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"
-#: draws are stored as so many chains, which ArviZ compares
-CHAINS = 4
-#: name of the scatter of a key between groups
-_SCATTER = "scatter of {} between {}"
+#: axes of stored draws, and as how many chains they are stored, which ArviZ compares
+CHAINED, CHAINS = ("chain", "draw"), 4
+#: arrays of draws; all else is stored as one text
+_ARRAYS = ("material", "tests", "scatter", "process")
+#: names of variables: values of a key in tests, its scatter between groups, and random wear
+_TESTS, _SCATTER, _PROCESS = "{} of tests", "scatter of {} between {}", "process.{}"
 #: conditions of a test and their units
 CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
 
@@ -36,13 +44,16 @@ CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu":
 class Draws:
     """Draws (s,) of the posterior of a fit, in no order."""
 
-    #: the m fitted keys, and their units
-    keys: tuple[str, ...]
-    units: tuple[str, ...]
-    #: (m,) whether an unknown is a value's logarithm
-    logarithmic: BoolArray
-    #: (m, 2) of the values
-    bounds: FloatArray
+    #: the m fitted keys, without what was known of them before; and the units of the case
+    parameters: Sequence[FittedParameter]
+    units: Sequence[str]
+    #: names of the tests, and of their specimens
+    experiments: Sequence[str]
+    specimens: Sequence[str]
+    #: names of the laws by table of keys, see ``law_names``
+    laws: Mapping[str, str]
+    #: of the tests, see ``conditions_of``
+    conditions: Sequence[Sequence[float]]
     #: (s, m) values of the material
     material: FloatArray
     #: (s, tests) values of the tests, by key, of those that scatter
@@ -51,54 +62,45 @@ class Draws:
     scatter: Mapping[tuple[str, str], FloatArray]
     #: (s,) mm, sizes of the random wear of bodies that have it, by "wear.lower" and "wear.upper"
     process: Mapping[str, FloatArray]
-    #: names of the tests, and of their specimens
-    experiments: tuple[str, ...]
-    specimens: tuple[str, ...]
-    #: names of the laws by table of keys, see ``law_names``
-    laws: Mapping[str, str]
-    #: (tests, 5), see ``conditions_of``
-    conditions: FloatArray
 
     def __len__(self) -> int:
         return len(self.material)
 
-    def of_test(self, number: int) -> FloatArray:
-        """Return the unknowns (s, m) of a test."""
-        x = self.material.copy()
-        for key, values in self.tests.items():
-            x[:, self.keys.index(key)] = values[:, number]
-        return self._unknowns(x)
+    @property
+    def keys(self) -> list[str]:
+        """The fitted keys."""
+        return [parameter.key for parameter in self.parameters]
 
-    def unknowns(
+    def of_test(self, number: int) -> FloatArray:
+        """Return the values (s, m) of a test."""
+        columns = zip(self.keys, self.material.T, strict=True)
+        return np.column_stack(
+            [self.tests[key][:, number] if key in self.tests else of for key, of in columns]
+        )
+
+    def values(
         self, of: str, count: int, random: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
-        """Return unknowns (count, m), and sizes of the random wear (count, 2) mm; 0: none.
+        """Return values (count, m), and sizes of the random wear (count, 2) mm; 0: none.
 
         Parameters
         ----------
         of : "next specimen", of a new batch and laboratory; "material"; or the name of a specimen.
         """
         rows, sizes = random.choice(len(self), count, count > len(self)), np.zeros((count, 2))
-        x = self._unknowns(self.material[rows])
         if of == MATERIAL:
-            return x, sizes
+            return self.material[rows], sizes
         for key, found in self.process.items():
             sizes[:, BODIES.index(body_of_wear(key))] = found[rows]
         if of in self.specimens:
             return self.of_test(self.specimens.index(of))[rows], sizes
+        values = self.material[rows]
         for (key, _), sd in self.scatter.items():
-            x[:, self.keys.index(key)] += sd[rows] * random.standard_normal(count)
-        return reflected(x, *self._unknowns(self.bounds.T)), sizes
-
-    def _unknowns(self, values: FloatArray) -> FloatArray:
-        """Return the unknowns of values (..., m)."""
-        unknowns = np.array(values)
-        unknowns[..., self.logarithmic] = np.log(unknowns[..., self.logarithmic])
-        return unknowns
-
-    def values(self, unknowns: FloatArray) -> FloatArray:
-        """Return the values of unknowns (..., m), within the bounds to the last bit."""
-        return values_of(unknowns, self.logarithmic, self.bounds)
+            j = self.keys.index(key)
+            p = self.parameters[j]
+            x = p.unknown(values[:, j]) + sd[rows] * random.standard_normal(count)
+            values[:, j] = p.value(reflected(x, *map(p.unknown, p.bounds)))
+        return values, sizes
 
     def ordered(self, problem: Problem) -> Problem:
         """Return a problem with its keys in the order of the fit's; InputError of other keys."""
@@ -111,15 +113,8 @@ class Draws:
         return replace(problem, parameters=tuple(parameters))
 
 
-def values_of(unknowns: FloatArray, logarithmic: BoolArray, bounds: FloatArray) -> FloatArray:
-    """Return the values of unknowns (..., m), within bounds (m, 2) to the last bit."""
-    values = np.array(unknowns)
-    values[..., logarithmic] = np.exp(values[..., logarithmic])
-    return np.clip(values, *bounds.T)
-
-
-def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
-    """Return means over a test of pressure, speed and their product, distance and friction, (5,).
+def conditions_of(case: Case, keys: Sequence[str] = ()) -> list[float]:
+    """Return means over a test of pressure, speed and their product, distance and friction.
 
     At the mean radius; NaN of what a displacement sets, and of friction that is among the keys.
     """
@@ -129,7 +124,7 @@ def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
         pressure = mean(force, 0.0, end) / case.area
         product = radius * mean_of_product(force, case.load.omega, 0.0, end) / case.area
     friction = np.nan if "contact.friction" in keys else mean(case.friction, 0.0, end)
-    return np.array([pressure, speed, product, speed * end, friction])
+    return [pressure, speed, product, speed * end, friction]
 
 
 def law_names(case: Case) -> dict[str, str]:
@@ -138,64 +133,41 @@ def law_names(case: Case) -> dict[str, str]:
     return {table: Path(law.code.called if law.code else law.name).name for table, law in laws}
 
 
-def write_draws(
-    path: Path,
-    draws: Draws,
-    versions: Mapping[str, str],
-    places: Mapping[str, Sequence[object]],
-    readings: Mapping[str, FloatArray],
-) -> None:
-    """Write draws.nc, as ArviZ has its groups. On one rank.
+def write_draws(group: h5py.Group, draws: Draws) -> None:
+    """Write draws as ArviZ has the group ``posterior``. On one rank."""
+    about = {name: value for name, value in vars(draws).items() if name not in _ARRAYS}
+    group.attrs["fit"] = json.dumps(about, default=vars)
+    units = dict(zip(draws.keys, draws.units, strict=True))
+    material = zip(draws.keys, draws.material.T, strict=True)
+    write_columns(group, (*CHAINED, "test"), [
+        *((key, chained(values), units[key], "value of the material") for key, values in material),
+        *((_TESTS.format(key), chained(values), units[key], "value of the test's specimen")
+          for key, values in draws.tests.items()),
+        *((_SCATTER.format(key, PLURALS[level]), chained(sd), "1",
+           "standard deviation of the unknown") for (key, level), sd in draws.scatter.items()),
+        *((_PROCESS.format(key), chained(sizes), "mm", "size of the random wear")
+          for key, sizes in draws.process.items()),
+    ])  # fmt: skip
 
-    Parameters
-    ----------
-    places : "test", "series" and "at" (s or mm) of each reading, (n,).
-    readings : "observed_data" (n,), and "posterior_predictive" and "log_likelihood" (s, n).
-    """
-    by_chain = {"chain": CHAINS, "draw": len(draws) // CHAINS}
-    with atomic_hdf5(path) as file:
-        file.attrs.update({"software": SOFTWARE, **versions})
-        group = file.create_group("posterior")
-        group.attrs["fit"] = json.dumps({
-            "keys": draws.keys, "units": draws.units, "logarithmic": draws.logarithmic.tolist(),
-            "bounds": draws.bounds.tolist(), "tests": [*draws.tests], "scatter": [*draws.scatter],
-            "process": [*draws.process], "experiments": draws.experiments,
-            "specimens": draws.specimens, "laws": dict(draws.laws),
-            "conditions": draws.conditions.tolist(),
-        })  # fmt: skip
-        units = dict(zip(draws.keys, draws.units, strict=True))
-        material = zip(draws.keys, draws.material.T, strict=True)
-        write_columns(group, {**by_chain, "test": len(draws.specimens)}, [
-            *((key, values, units[key], "value of the material") for key, values in material),
-            *((f"{key} of tests", values, units[key], "value of the test's specimen")
-              for key, values in draws.tests.items()),
-            *((_SCATTER.format(key, PLURALS[level]), sd, "1", "standard deviation of the unknown")
-              for (key, level), sd in draws.scatter.items()),
-            *((f"process.{key}", sizes, "mm", "size of the random wear")
-              for key, sizes in draws.process.items()),
-        ])  # fmt: skip
-        for name, array in readings.items():
-            axes = {**(by_chain if array.ndim > 1 else {}), "place": array.shape[-1]}
-            group = file.create_group(name)
-            write_columns(group, axes, [("reading", array, "1", name.replace("_", " "))])
-            for place, entries in places.items():
-                meaning = f"{place} of the reading"
-                write_variable(group, Variable(place, ("place",), "1", meaning), [*entries])
+
+def chained(draws: FloatArray) -> FloatArray:
+    """Return draws (s, ...) as chains of equal lengths."""
+    return draws.reshape(CHAINS, -1, *draws.shape[1:])
 
 
 def write_columns(
-    group: h5py.Group,
-    axes: Mapping[str, int],
-    columns: Iterable[tuple[str, FloatArray, str, str]],
+    group: h5py.Group, axes: Sequence[str], columns: Iterable[tuple[str, Any, str, str]]
 ) -> None:
-    """Write axes by their lengths, and variables along the first ones of them, or all."""
-    for name, size in axes.items():
-        write_variable(group, axis(name), np.arange(size))
-    names, sizes = tuple(axes), tuple(axes.values())
+    """Write arrays, each with its name, unit and meaning, along the first of the axes or all.
+
+    The axes, numbered from 0, are written with the first array that runs over them.
+    """
     for name, values, unit, meaning in columns:
-        count = values.ndim + ("chain" in axes)
-        variable = Variable(name, names[:count], unit, meaning)
-        write_variable(group, variable, values.reshape(sizes[:count]))
+        variable = Variable(name, tuple(axes)[: np.ndim(values)], unit, meaning)
+        for one, size in zip(variable.dimensions, np.shape(values), strict=True):
+            if one not in group:
+                write_variable(group, axis(one), np.arange(size))
+        write_variable(group, variable, values)
 
 
 def read_draws(path: Path) -> Draws:
@@ -206,20 +178,26 @@ def read_draws(path: Path) -> Draws:
     InputError : the file is of anything else, or damaged.
     """
     with reading(path, SOFTWARE, "the draws of ringwear fit") as file:
-        group = file["posterior"]
-        about = json.loads(group.attrs["fit"])
-
-        def columns(name: str) -> FloatArray:
-            values: FloatArray = group[name][()]
-            return values.reshape(-1, *values.shape[2:])
-
+        stored, about = file["posterior"], json.loads(file["posterior"].attrs["fit"])
+        about["parameters"] = [
+            FittedParameter(**{**entry, "bounds": tuple(entry["bounds"])})
+            for entry in about["parameters"]
+        ]
+        found = {
+            name: values[()].reshape(-1, *values.shape[2:])
+            for name, values in stored.items()
+            if values.ndim > 1
+        }
+        keys, groups = [parameter.key for parameter in about["parameters"]], PLURALS.items()
         return Draws(
-            tuple(about["keys"]), tuple(about["units"]), np.array(about["logarithmic"]),
-            np.array(about["bounds"]), np.stack([*map(columns, about["keys"])], axis=-1),
-            {key: columns(f"{key} of tests") for key in about["tests"]},
-            {(key, level): columns(_SCATTER.format(key, PLURALS[level]))
-             for key, level in about["scatter"]},
-            {key: columns(f"process.{key}") for key in about["process"]},
-            tuple(about["experiments"]), tuple(about["specimens"]), about["laws"],
-            np.array(about["conditions"], dtype=float),
+            **about,
+            material=np.stack([found[key] for key in keys], axis=-1),
+            tests={key: found[name] for key in keys if (name := _TESTS.format(key)) in found},
+            scatter={
+                (key, level): found[name] for key in keys for level, plural in groups
+                if (name := _SCATTER.format(key, plural)) in found
+            },
+            process={
+                key: found[name] for key in RANDOM if (name := _PROCESS.format(key)) in found
+            },
         )  # fmt: skip

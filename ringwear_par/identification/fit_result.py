@@ -1,8 +1,8 @@
 """The result of a fit: the numbers of fit.json, draws, the tests as they were fitted; its files."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
@@ -24,11 +24,12 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
 )
 from ringwear_par.identification.draws import (
+    CHAINED,
     CHAINS,
     Draws,
+    chained,
     conditions_of,
     law_names,
-    values_of,
     write_columns,
     write_draws,
 )
@@ -52,8 +53,8 @@ from ringwear_par.version import versions
 
 #: files of its folder
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
-#: draws that are kept, of each of the chains that ArviZ wants; how many of all tell bands
-_KEPT, _BANDS = 500, 500
+#: draws that are kept, of each of the chains that ArviZ wants
+_KEPT = 500
 #: what is written of series, and what it means
 _WRITTEN = {
     "data": "what was read", "sd": "noise of the data", "band": "sd of the model's reading",
@@ -128,30 +129,37 @@ class FitResult(Outcome):
             for number, (test, measured) in enumerate(inputs, start=1):
                 group, unit = file.create_group(f"inputs/{number}"), measured.unit
                 group.attrs.update(experiment=test.name, key=measured.key, unit=unit)
-                time, readings = measured.series.x, measured.readings(test.case)
-                write_columns(group, {"reading": len(time)}, [
+                time = measured.series.x
+                write_columns(group, ("reading",), [
                     ("time", time, "s", "time"),
-                    ("data", readings, unit, "reading, in the unit of the key"),
+                    ("data", measured.readings(test.case), unit, "reading, in the unit of the key"),
                     ("curve", measured.curve(test.case)(time), unit, "the case's value"),
                 ])  # fmt: skip
 
     def _write_draws(self, path: Path) -> None:
         """Write draws.nc: draws, replicas of the readings by each, and log likelihoods."""
-        random, every = np.random.default_rng(0), self.series
+        random, every, problem = np.random.default_rng(0), self.series, self.problem
         logs, replicas = zip(*(
-            readings_of_draws(likelihood, self.draws.of_test(i), random)
+            readings_of_draws(likelihood, problem.unknowns(self.draws.of_test(i)), random)
             for i, likelihood in enumerate(self.solution.posterior.likelihoods)
         ), strict=True)  # fmt: skip
-        readings = {
-            "observed_data": np.concatenate([one.series.value for one in every]),
-            "posterior_predictive": np.hstack(replicas), "log_likelihood": np.hstack(logs),
-        }  # fmt: skip
         places = {
             "test": [one.test for one in every for _ in one.series.x],
             "series": [one.series.name for one in every for _ in one.series.x],
-            "at": [x for one in every for x in one.series.x.tolist()],
+            "at": np.concatenate([one.series.x for one in every]),
         }
-        write_draws(path, self.draws, self.content["versions"], places, readings)
+        with atomic_hdf5(path) as file:
+            file.attrs.update({"software": SOFTWARE, **self.content["versions"]})
+            write_draws(file.create_group("posterior"), self.draws)
+            for name, values in (
+                ("observed_data", np.concatenate([one.series.value for one in every])),
+                ("posterior_predictive", chained(np.hstack(replicas))),
+                ("log_likelihood", chained(np.hstack(logs))),
+            ):
+                group, axes = file.create_group(name), (*CHAINED, "place")[-values.ndim :]
+                write_columns(group, axes, [("reading", values, "1", name.replace("_", " "))])
+                columns = [(of, v, "1", f"{of} of the reading") for of, v in places.items()]
+                write_columns(group, ("place",), columns)
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals.
@@ -175,18 +183,16 @@ class FitResult(Outcome):
 def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
     problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
+    level = problem.settings.level
     x, best = posterior.of_tests(solution.theta), posterior.of_tests(solution.best)
     material = posterior.material(solution.theta, random)
-    log, bounds = (np.array([getattr(p, n) for p in problem.parameters]) for n in ("log", "bounds"))
-    values, of_tests = (values_of(unknowns, log, bounds) for unknowns in (material, x))
     rows = np.linspace(0, len(x) - 1, CHAINS * _KEPT).round().astype(int)
-    some = rows[:: max(1, len(rows) // _BANDS)]
-    every, scales = list[FittedSeries](), list[FloatArray]()
-    for i, likelihood in enumerate(posterior.likelihoods):
-        series, drawn = fitted_series(
-            likelihood, best[i], x[some, i], solution.depths, problem.settings.level, random
-        )
-        every, scales = every + series, scales + drawn
+    some = rows[::CHAINS]  # tell bands and nuisances
+    fitted = [
+        fitted_series(likelihood, best[i], x[some, i], solution.depths, level, random)
+        for i, likelihood in enumerate(posterior.likelihoods)
+    ]
+    every = [one for series, _ in fitted for one in series]
     correlations = {
         f"{kind} of {one.title}": np.corrcoef(material[some].T, drawn)[-1]
         for one in every for kind, drawn in one.nuisances.items()
@@ -197,7 +203,7 @@ def result_of(solution: Solution) -> FitResult:
         scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
         for i, likelihood in enumerate(posterior.likelihoods)
     ], axis=1)  # fmt: skip
-    parameters = key_entries(solution, material, values, of_tests, information, correlations)
+    parameters = key_entries(solution, material, x, information, correlations)
     process, squares = process_entries(solution), _goodness(solution, every, x[some])
     checks = [
         *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
@@ -208,18 +214,18 @@ def result_of(solution: Solution) -> FitResult:
         *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
         *doubts.of_units(problem.experiments),
     )  # fmt: skip
-    draws = _draws(solution, rows, values[rows], of_tests[rows])
+    draws = _draws(solution, rows, material)
     content = {
         "parameters": parameters,
         "keys": [*problem.keys],
         "covariance": np.atleast_2d(np.cov(draws.material.T)).tolist(),
-        "level": problem.settings.level,
+        "level": level,
         **squares,
         "evidence": solution.log_evidence,
         "evidence_error": solution.evidence_error,
         "specimens": len({test.groups[0] for test in problem.experiments}),
         "process": process,
-        **_numbers_of_tests(problem.experiments, every, scales),
+        **_numbers_of_tests(problem.experiments, every, [factors for _, factors in fitted]),
         "histories": solution.histories,
         "failed_histories": solution.failed,
         "steps": solution.steps,
@@ -235,24 +241,31 @@ def result_of(solution: Solution) -> FitResult:
     return FitResult(problem, solution, draws, tuple(every), found, content)
 
 
-def _draws(solution: Solution, rows: Any, values: FloatArray, of_tests: FloatArray) -> Draws:
-    """Return the draws that are kept, some rows of ``theta``: values of the material and tests."""
-    problem, theta, units = solution.problem, solution.theta[rows], units_of(solution.problem)
-    keys, tests, scatterings = problem.keys, problem.experiments, solution.posterior.scatterings
-    shares = solution.posterior.shares(theta).T
+def _draws(solution: Solution, rows: IntArray, material: FloatArray) -> Draws:
+    """Return the draws that are kept, some rows of ``theta`` and of unknowns (s, m)."""
+    problem, theta, scatterings = (
+        solution.problem,
+        solution.theta[rows],
+        solution.posterior.scatterings,
+    )
+    keys, tests, process = problem.keys, problem.experiments, problem.settings.process
+    shares, x = (
+        solution.posterior.shares(theta).T,
+        problem.values(solution.posterior.of_tests(theta)),
+    )
     return Draws(
-        keys, tuple(units[key] for key in keys), np.array([p.log for p in problem.parameters]),
-        np.array([p.bounds for p in problem.parameters], dtype=float), values,
-        {keys[s.key]: of_tests[..., s.key] for s in scatterings},
+        [replace(p, prior=None, scatter=None) for p in problem.parameters],
+        [*units_of(problem).values()],
+        [test.name for test in tests], [test.groups[0] for test in tests],
+        law_names(tests[0].case), [conditions_of(test.case, keys) for test in tests],
+        problem.values(material[rows]), {keys[s.key]: x[..., s.key] for s in scatterings},
         {(keys[s.key], name): size(theta) for s in scatterings for name, size in s.levels.items()},
         {
             key: np.full(len(theta), noise.size or share**2 * depth)
             for (key, noise), share, depth in zip(
-                problem.settings.process.items(), shares, solution.depths, strict=True
+                process.items(), shares, solution.depths, strict=True
             )
         },
-        tuple(test.name for test in tests), tuple(test.groups[0] for test in tests),
-        law_names(tests[0].case), np.array([conditions_of(test.case, keys) for test in tests]),
     )  # fmt: skip
 
 
@@ -276,7 +289,7 @@ def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -
     if drawn.censored.any():
         meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
         columns.append(("censored", drawn.censored.astype(float), "1", meaning))
-    write_columns(group, {"reading": series.n}, columns)
+    write_columns(group, ("reading",), columns)
 
 
 def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:
@@ -288,22 +301,19 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384) for readings whose noise is given;
     None where all is fitted, or has long tails.
     """
-    posterior, best = solution.posterior, solution.best[None]
-    student = solution.problem.settings.loss == "student"
-    points = np.concatenate([posterior.of_tests(best), x])
-    parts: list[tuple[FloatArray, float, bool]] = []
+    posterior, student = solution.posterior, solution.problem.settings.loss == "student"
+    points = np.concatenate([posterior.of_tests(solution.best[None]), x])
+    rows, of_parts, given = list[FloatArray](), list[float](), list[bool]()
     for i, emulated in enumerate(posterior.likelihoods):
         likelihood, series = emulated.likelihood, emulated.likelihood.test.series
-        each = likelihood.least_squares(emulated.emulator(points[:, i]))
-        for row, part, noise in zip(each, likelihood.parts, likelihood.noises, strict=True):
-            given = not any(series[number].sd_fitted for number in part)
-            parts.append((row, noise.freedom, given))
-    squares, freedom, known = map(np.array, zip(*parts, strict=True))
-    total, p_value, free = squares.sum(axis=0), None, float(freedom[known].sum())
+        rows += [*likelihood.least_squares(emulated.emulator(points[:, i]))]
+        of_parts += [noise.freedom for noise in likelihood.noises]
+        given += [not any(series[n].sd_fitted for n in part) for part in likelihood.parts]
+    squares, freedom = np.array(rows), np.array(of_parts)
+    at_mode, *total = squares.sum(axis=0).tolist()
+    raised, free, p_value = max(float(np.mean(total)) - at_mode, 0.0), freedom[given].sum(), None
     if not student and free >= 1.0:
-        p_value = float(chi2.sf(squares[known, 1:].sum(axis=0), free).mean())
-    raised = max(float(total[1:].mean() - total[0]), 0.0)
-    at_mode = float(total[0])
+        p_value = float(chi2.sf(squares[given, 1:].sum(axis=0), free).mean())
     if student:  # the sd of outliers is larger in the others
         at_mode = sum(float(np.square(one.misfits).sum()) for one in every)
     return {
@@ -314,7 +324,9 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
 
 
 def _numbers_of_tests(
-    tests: Sequence[Experiment], every: Sequence[FittedSeries], scales: Sequence[FloatArray]
+    tests: Sequence[Experiment],
+    every: Sequence[FittedSeries],
+    factors: Sequence[Mapping[str, FloatArray]],
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the numbers of series, their nuisances and measured inputs, by test.
 
@@ -335,18 +347,17 @@ def _numbers_of_tests(
             found["thermal"]["time"] = found.pop(GROWTH_TIME)
         if found:
             nuisance.setdefault(one.test, {})[series.name] = found
-    left = iter(scales)
-    for test, measured in [(one, measured) for one in tests for measured in one.inputs]:
-        curve, readings = measured.curve(test.case), measured.readings(test.case)
-        off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
-        entry = {
-            "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
-            "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
-        }  # fmt: skip
-        if measured.scale is not None:
-            mean, sd = measured.scale
-            entry["scale"] = _mean_and_sd(mean + sd * next(left))
-        inputs.setdefault(test.name, {})[measured.key] = entry
+    for test, of_test in zip(tests, factors, strict=True):
+        for measured in test.inputs:
+            curve, readings = measured.curve(test.case), measured.readings(test.case)
+            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+            entry = {
+                "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+            }  # fmt: skip
+            if measured.key in of_test:
+                entry["scale"] = _mean_and_sd(of_test[measured.key])
+            inputs.setdefault(test.name, {})[measured.key] = entry
     return {"experiments": experiments, "nuisance": nuisance, "inputs": inputs}
 
 

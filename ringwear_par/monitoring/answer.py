@@ -75,7 +75,7 @@ def answer_of(
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
     # (keys, 3) before the test, and at the end of each window
     trace = [
-        np.quantile(follower.draws.values(x[:, : follower.m]), _shares(level), axis=0).T.tolist()
+        np.quantile(problem.values(x[:, : follower.m]), _shares(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
     keys = {}
@@ -223,7 +223,7 @@ def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
         later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
         both = replace(test, series=(*test.series, later))
         likelihood, random = follower.likelihood_like(specimen, both), np.random.default_rng(1)
-        _, worn, _, _ = with_all(likelihood, follower.readings(some, both), random)
+        _, worn, _ = with_all(likelihood, follower.readings(some, both), random)
         depths += worn[:, test.n :] @ follower.most
     return depths
 

@@ -97,7 +97,8 @@ class Follower:
         count: int,
         seed: int,
     ) -> None:
-        x, sizes = draws.unknowns(of, count, np.random.default_rng(seed))
+        values, sizes = draws.values(of, count, np.random.default_rng(seed))
+        x = problem.unknowns(values)
         self.draws, self.of, self.problem, self._seed = draws, of, problem, seed
         #: draws at the end of a window, and how probable its readings were, by all until then
         self.windows: dict[bytes, tuple[Specimen, float]] = {}

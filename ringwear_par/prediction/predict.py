@@ -92,8 +92,7 @@ def predict(
         whole = case if isinstance(case, Case) else read_case(case)
         refuse_stop(whole, name, "in a prediction")
         check_predicted(known, whole, name, of)
-        unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
-        return whole, known, known.values(unknowns), sizes
+        return whole, known, *known.values(of, draws, np.random.default_rng(seed))
 
     whole, known, values, sizes = on_first_rank(comm, drawn)
     results = _histories(whole, known.keys, values, sizes, seed, comm)
@@ -170,7 +169,7 @@ def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
         doubts.append(ValidityWarning("no-scatter", text))
     # NaN of what the fit does not know, or the case does not have
     tests = [f.reduce(draws.conditions).tolist() for f in (np.fmin, np.fmax)]
-    numbers = zip(CONDITIONS.items(), conditions_of(case, draws.keys).tolist(), *tests, strict=True)
+    numbers = zip(CONDITIONS.items(), conditions_of(case, draws.keys), *tests, strict=True)
     for (name, unit), value, *ends in numbers:
         # a shorter test is a part of a longer one
         least = 0.0 if name == "distance" else ends[0] * (1.0 - _SAME)

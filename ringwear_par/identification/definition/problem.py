@@ -102,21 +102,14 @@ class FittedParameter:
     #: as the user writes it, "" for the case's
     unit: str = ""
 
-    def unknown(self, value: float) -> float:
-        """Return the unknown of a value."""
-        return float(np.log(value)) if self.log else value
+    def unknown(self, value: Any) -> Any:
+        """Return the unknown of a value, or those of an array."""
+        return np.log(value) if self.log else value
 
-    def value(self, unknown: float) -> float:
-        """Return the value of an unknown, within the bounds to the last bit."""
-        low, high = self.bounds
-        if self.log:  # an exponential may overflow
-            at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
-            unknown = float(np.exp(at))
-        return min(max(float(unknown), low), high)
-
-    def slope(self, value: float) -> float:
-        """Return the derivative of the value with respect to the unknown."""
-        return value if self.log else 1.0
+    def value(self, unknown: Any) -> Any:
+        """Return the value of an unknown, or those of an array, within the bounds to the bit."""
+        within = np.clip(unknown, *map(self.unknown, self.bounds))
+        return np.clip(np.exp(within) if self.log else within, *self.bounds)
 
 
 def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -418,15 +411,17 @@ class Problem:
         return {parameter.key: parameter.start for parameter in self.parameters}
 
     def unknowns(self, values: Sequence[float] | FloatArray) -> FloatArray:
-        """Return the unknowns (m,) of values of the fitted keys."""
-        return np.array([p.unknown(v) for p, v in zip(self.parameters, values, strict=True)])
+        """Return the unknowns (..., m) of values of the fitted keys."""
+        columns = zip(self.parameters, np.moveaxis(np.asarray(values), -1, 0), strict=True)
+        return np.stack([p.unknown(column) for p, column in columns], axis=-1)
 
     def values(self, unknowns: FloatArray) -> FloatArray:
-        """Return the values (m,) of unknowns."""
-        return np.array([p.value(u) for p, u in zip(self.parameters, unknowns, strict=True)])
+        """Return the values (..., m) of unknowns."""
+        columns = zip(self.parameters, np.moveaxis(unknowns, -1, 0), strict=True)
+        return np.stack([p.value(column) for p, column in columns], axis=-1)
 
     @property
     def unknown_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Smallest and largest unknowns, (m,)."""
-        low, high = np.array([[p.unknown(b) for b in p.bounds] for p in self.parameters]).T
+        low, high = self.unknowns(np.array([p.bounds for p in self.parameters]).T)
         return low, high

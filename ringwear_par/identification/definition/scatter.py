@@ -30,7 +30,7 @@ _MOST_FITTED = 3
 #: of the names of groups
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
 #: tables of wear that may be random
-_RANDOM = tuple(f"wear.{body}" for body in BODIES)
+RANDOM = tuple(f"wear.{body}" for body in BODIES)
 #: largest correlation time, as a share of a record: noise that is correlated for longer looks like
 #: wear
 _LONGEST_CORRELATION = 0.1
@@ -118,10 +118,10 @@ def read_process(fit: TableReader) -> dict[str, ProcessNoise]:
         fit.wrong("process", "must be a table of wear.lower, wear.upper")
         return {}
     entries, place = unnested(table, keys_of("fit.process.KEY").keys()), f"{fit.place}.process"
-    name_unknown_keys(place, entries, _RANDOM, fit.faults, table="fit.process")
+    name_unknown_keys(place, entries, RANDOM, fit.faults, table="fit.process")
     return {
         key: _read_noise(f"{place}.{key}", entries[key], fit.faults)
-        for key in _RANDOM
+        for key in RANDOM
         if key in entries
     }
 

@@ -144,7 +144,7 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
         vague, covariance = np.where(known, np.inf, VAGUE * sd), np.diag(sd**2)
         material = x + np.random.default_rng(0).standard_normal((_MANY, len(x))) * sd * known
     else:
-        material = np.array([problem.unknowns(row) for row in draws.material])
+        material = problem.unknowns(draws.material)
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
         vague = np.full(len(x), np.inf)
         for j, key in enumerate(problem.keys):
@@ -152,7 +152,7 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
             scatter[j] = sum(found) if found else scatter[j]
         sizes = [float(np.median(draws.process.get(key, 0.0))) for key in process]
     at = problem.values(x)
-    slopes = np.array([p.slope(v) for p, v in zip(parameters, at, strict=True)])
+    slopes = np.where([p.log for p in parameters], at, 1.0)
     # few draws stand for all, at equal steps of their longest axis: where a posterior bends,
     # readings at its mean alone would promise too much
     material = np.clip(material, *problem.unknown_bounds)
