@@ -13,17 +13,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.identification.definition.problem import (
-    FittedParameter,
-    Problem,
-    body_of_wear,
-    reflected,
-)
-from ringwear_par.identification.definition.scatter import PLURALS, RANDOM
+from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.problem import FittedParameter, Problem, body_of_wear
+from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.solution import Solution
 from ringwear_par.results.files import reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable, axis
 from ringwear_par.schedules import mean, mean_of_product
@@ -31,9 +28,7 @@ from ringwear_par.schedules import mean, mean_of_product
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"
 #: axes of stored draws, and as how many chains they are stored, which ArviZ compares
-CHAINED, CHAINS = ("chain", "draw"), 4
-#: arrays of draws; all else is stored as one text
-_ARRAYS = ("material", "tests", "scatter", "process")
+CHAINED, _CHAINS = ("chain", "draw"), 4
 #: names of variables: values of a key in tests, its scatter between groups, and random wear
 _TESTS, _SCATTER, _PROCESS = "{} of tests", "scatter of {} between {}", "process.{}"
 #: conditions of a test and their units
@@ -71,13 +66,6 @@ class Draws:
         """The fitted keys."""
         return [parameter.key for parameter in self.parameters]
 
-    def of_test(self, number: int) -> FloatArray:
-        """Return the values (s, m) of a test."""
-        columns = zip(self.keys, self.material.T, strict=True)
-        return np.column_stack(
-            [self.tests[key][:, number] if key in self.tests else of for key, of in columns]
-        )
-
     def values(
         self, of: str, count: int, random: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
@@ -87,19 +75,20 @@ class Draws:
         ----------
         of : "next specimen", of a new batch and laboratory; "material"; or the name of a specimen.
         """
-        rows, sizes = random.choice(len(self), count, count > len(self)), np.zeros((count, 2))
+        rows = random.choice(len(self), count, count > len(self))
+        values, sizes, keys = self.material[rows], np.zeros((count, 2)), self.keys
         if of == MATERIAL:
-            return self.material[rows], sizes
+            return values, sizes
         for key, found in self.process.items():
             sizes[:, BODIES.index(body_of_wear(key))] = found[rows]
         if of in self.specimens:
-            return self.of_test(self.specimens.index(of))[rows], sizes
-        values = self.material[rows]
+            for key, of_tests in self.tests.items():
+                values[:, keys.index(key)] = of_tests[rows, self.specimens.index(of)]
+            return values, sizes
         for (key, _), sd in self.scatter.items():
-            j = self.keys.index(key)
-            p = self.parameters[j]
-            x = p.unknown(values[:, j]) + sd[rows] * random.standard_normal(count)
-            values[:, j] = p.value(reflected(x, *map(p.unknown, p.bounds)))
+            j, z = keys.index(key), random.standard_normal(count)
+            x = self.parameters[j].unknown(values[:, j]) + sd[rows] * z
+            values[:, j] = self.parameters[j].reflected_value(x)
         return values, sizes
 
     def ordered(self, problem: Problem) -> Problem:
@@ -111,6 +100,25 @@ class Draws:
             )
         parameters = sorted(problem.parameters, key=lambda p: self.keys.index(p.key))
         return replace(problem, parameters=tuple(parameters))
+
+
+def draws_of(solution: Solution, rows: IntArray, material: FloatArray) -> Draws:
+    """Return some rows of the draws of a solution, which have unknowns (s, m) of the material."""
+    problem, posterior = solution.problem, solution.posterior
+    keys, tests, theta = problem.keys, problem.experiments, solution.theta[rows]
+    x, shares = problem.values(posterior.of_tests(theta)), posterior.shares(theta).T
+    process = zip(problem.settings.process.items(), shares, solution.depths, strict=True)
+    scatter = [(keys[s.key], s.levels.items()) for s in posterior.scatterings]
+    return Draws(
+        [FittedParameter(p.key, p.start, p.bounds, p.log) for p in problem.parameters],
+        [*units_of(problem).values()], [test.name for test in tests],
+        [test.groups[0] for test in tests], law_names(tests[0].case),
+        [conditions_of(test.case, keys) for test in tests],
+        problem.values(material[rows]), {keys[s.key]: x[..., s.key] for s in posterior.scatterings},
+        {(key, name): size(theta) for key, levels in scatter for name, size in levels},
+        {key: np.full(len(theta), noise.size or share**2 * depth)
+         for (key, noise), share, depth in process},
+    )  # fmt: skip
 
 
 def conditions_of(case: Case, keys: Sequence[str] = ()) -> list[float]:
@@ -135,24 +143,22 @@ def law_names(case: Case) -> dict[str, str]:
 
 def write_draws(group: h5py.Group, draws: Draws) -> None:
     """Write draws as ArviZ has the group ``posterior``. On one rank."""
-    about = {name: value for name, value in vars(draws).items() if name not in _ARRAYS}
-    group.attrs["fit"] = json.dumps(about, default=vars)
+    parameters = [(p.key, p.start, p.bounds, p.log) for p in draws.parameters]
+    names = {name: [*getattr(draws, name)] for name in ("tests", "scatter", "process")}
+    about = vars(draws) | names | {"parameters": parameters}
+    del about["material"]
+    group.attrs["fit"] = json.dumps(about)
     units = dict(zip(draws.keys, draws.units, strict=True))
     material = zip(draws.keys, draws.material.T, strict=True)
     write_columns(group, (*CHAINED, "test"), [
-        *((key, chained(values), units[key], "value of the material") for key, values in material),
-        *((_TESTS.format(key), chained(values), units[key], "value of the test's specimen")
+        *((key, values, units[key], "value of the material") for key, values in material),
+        *((_TESTS.format(key), values, units[key], "value of the test's specimen")
           for key, values in draws.tests.items()),
-        *((_SCATTER.format(key, PLURALS[level]), chained(sd), "1",
-           "standard deviation of the unknown") for (key, level), sd in draws.scatter.items()),
-        *((_PROCESS.format(key), chained(sizes), "mm", "size of the random wear")
+        *((_SCATTER.format(key, PLURALS[level]), sd, "1", "standard deviation of the unknown")
+          for (key, level), sd in draws.scatter.items()),
+        *((_PROCESS.format(key), sizes, "mm", "size of the random wear")
           for key, sizes in draws.process.items()),
     ])  # fmt: skip
-
-
-def chained(draws: FloatArray) -> FloatArray:
-    """Return draws (s, ...) as chains of equal lengths."""
-    return draws.reshape(CHAINS, -1, *draws.shape[1:])
 
 
 def write_columns(
@@ -160,9 +166,11 @@ def write_columns(
 ) -> None:
     """Write arrays, each with its name, unit and meaning, along the first of the axes or all.
 
-    The axes, numbered from 0, are written with the first array that runs over them.
+    Draws (s, ...) become chains. Axes, numbered from 0, are written with the first array there.
     """
     for name, values, unit, meaning in columns:
+        if axes[0] == CHAINED[0]:
+            values = values.reshape(_CHAINS, -1, *values.shape[1:])
         variable = Variable(name, tuple(axes)[: np.ndim(values)], unit, meaning)
         for one, size in zip(variable.dimensions, np.shape(values), strict=True):
             if one not in group:
@@ -178,26 +186,22 @@ def read_draws(path: Path) -> Draws:
     InputError : the file is of anything else, or damaged.
     """
     with reading(path, SOFTWARE, "the draws of ringwear fit") as file:
-        stored, about = file["posterior"], json.loads(file["posterior"].attrs["fit"])
+        group = file["posterior"]
+        about = json.loads(group.attrs["fit"])
+
+        def values(name: str) -> FloatArray:
+            chains: FloatArray = group[name][()]
+            return chains.reshape(-1, *chains.shape[2:])
+
         about["parameters"] = [
-            FittedParameter(**{**entry, "bounds": tuple(entry["bounds"])})
-            for entry in about["parameters"]
+            FittedParameter(key, start, tuple(bounds), log)
+            for key, start, bounds, log in about["parameters"]
         ]
-        found = {
-            name: values[()].reshape(-1, *values.shape[2:])
-            for name, values in stored.items()
-            if values.ndim > 1
+        about["tests"] = {key: values(_TESTS.format(key)) for key in about["tests"]}
+        about["scatter"] = {
+            (key, level): values(_SCATTER.format(key, PLURALS[level]))
+            for key, level in about["scatter"]
         }
-        keys, groups = [parameter.key for parameter in about["parameters"]], PLURALS.items()
-        return Draws(
-            **about,
-            material=np.stack([found[key] for key in keys], axis=-1),
-            tests={key: found[name] for key in keys if (name := _TESTS.format(key)) in found},
-            scatter={
-                (key, level): found[name] for key in keys for level, plural in groups
-                if (name := _SCATTER.format(key, plural)) in found
-            },
-            process={
-                key: found[name] for key in RANDOM if (name := _PROCESS.format(key)) in found
-            },
-        )  # fmt: skip
+        about["process"] = {key: values(_PROCESS.format(key)) for key in about["process"]}
+        keys = [parameter.key for parameter in about["parameters"]]
+        return Draws(**about, material=np.stack([*map(values, keys)], axis=-1))

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +15,8 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
-from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import (
-    BASE,
-    GROWTH_TIME,
-    Experiment,
-    Problem,
-    body_of_wear,
-)
-from ringwear_par.identification.draws import (
-    CHAINED,
-    CHAINS,
-    Draws,
-    chained,
-    conditions_of,
-    law_names,
-    write_columns,
-    write_draws,
-)
+from ringwear_par.identification.definition.problem import BASE, GROWTH_TIME, Problem, body_of_wear
+from ringwear_par.identification.draws import CHAINED, Draws, draws_of, write_columns, write_draws
 from ringwear_par.identification.fitted_tests import (
     FittedSeries,
     fitted_series,
@@ -53,8 +37,8 @@ from ringwear_par.version import versions
 
 #: files of its folder
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
-#: draws that are kept, of each of the chains that ArviZ wants
-_KEPT = 500
+#: draws that are kept; of how many of these one tells bands and nuisances
+_KEPT, _EVERY = 2000, 4
 #: what is written of series, and what it means
 _WRITTEN = {
     "data": "what was read", "sd": "noise of the data", "band": "sd of the model's reading",
@@ -118,13 +102,12 @@ class FitResult(Outcome):
     def _write_readings(self, path: Path) -> None:
         """Write results.h5: the series of all tests, and their measured inputs."""
         problem = self.problem
-        bodies = [body_of_wear(key) for key in problem.settings.process]
         with atomic_hdf5(path) as file:
             file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
                                **self.content["versions"]})  # fmt: skip
             for number, one in enumerate(self.series, start=1):
                 name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
-                _write_series(file.create_group(name), one, bodies)
+                _write_series(file.create_group(name), one)
             inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
             for number, (test, measured) in enumerate(inputs, start=1):
                 group, unit = file.create_group(f"inputs/{number}"), measured.unit
@@ -138,10 +121,11 @@ class FitResult(Outcome):
 
     def _write_draws(self, path: Path) -> None:
         """Write draws.nc: draws, replicas of the readings by each, and log likelihoods."""
-        random, every, problem = np.random.default_rng(0), self.series, self.problem
+        random, every, posterior = np.random.default_rng(0), self.series, self.solution.posterior
+        x = posterior.of_tests(self.solution.theta[_kept(self.solution)])
         logs, replicas = zip(*(
-            readings_of_draws(likelihood, problem.unknowns(self.draws.of_test(i)), random)
-            for i, likelihood in enumerate(self.solution.posterior.likelihoods)
+            readings_of_draws(likelihood, x[:, i], random)
+            for i, likelihood in enumerate(posterior.likelihoods)
         ), strict=True)  # fmt: skip
         places = {
             "test": [one.test for one in every for _ in one.series.x],
@@ -151,13 +135,13 @@ class FitResult(Outcome):
         with atomic_hdf5(path) as file:
             file.attrs.update({"software": SOFTWARE, **self.content["versions"]})
             write_draws(file.create_group("posterior"), self.draws)
-            for name, values in (
-                ("observed_data", np.concatenate([one.series.value for one in every])),
-                ("posterior_predictive", chained(np.hstack(replicas))),
-                ("log_likelihood", chained(np.hstack(logs))),
+            for name, axes, values in (
+                ("observed_data", (), np.concatenate([one.series.value for one in every])),
+                ("posterior_predictive", CHAINED, np.hstack(replicas)),
+                ("log_likelihood", CHAINED, np.hstack(logs)),
             ):
-                group, axes = file.create_group(name), (*CHAINED, "place")[-values.ndim :]
-                write_columns(group, axes, [("reading", values, "1", name.replace("_", " "))])
+                group, meaning = file.create_group(name), name.replace("_", " ")
+                write_columns(group, (*axes, "place"), [("reading", values, "1", meaning)])
                 columns = [(of, v, "1", f"{of} of the reading") for of, v in places.items()]
                 write_columns(group, ("place",), columns)
 
@@ -180,16 +164,21 @@ class FitResult(Outcome):
         return panel_figure(rows, size, [5, 2] * (len(rows) // 2))
 
 
+def _kept(solution: Solution) -> IntArray:
+    """Return rows of the draws that are kept."""
+    return np.linspace(0, len(solution.theta) - 1, _KEPT).round().astype(int)
+
+
 def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
     problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
-    level = problem.settings.level
+    process, level = process_entries(solution), problem.settings.level
     x, best = posterior.of_tests(solution.theta), posterior.of_tests(solution.best)
     material = posterior.material(solution.theta, random)
-    rows = np.linspace(0, len(x) - 1, CHAINS * _KEPT).round().astype(int)
-    some = rows[::CHAINS]  # tell bands and nuisances
+    rows, depths = _kept(solution), {body_of_wear(k): e["depth"] for k, e in process.items()}
+    some = rows[::_EVERY]
     fitted = [
-        fitted_series(likelihood, best[i], x[some, i], solution.depths, level, random)
+        fitted_series(likelihood, best[i], x[some, i], depths, level, random)
         for i, likelihood in enumerate(posterior.likelihoods)
     ]
     every = [one for series, _ in fitted for one in series]
@@ -203,8 +192,8 @@ def result_of(solution: Solution) -> FitResult:
         scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
         for i, likelihood in enumerate(posterior.likelihoods)
     ], axis=1)  # fmt: skip
-    parameters = key_entries(solution, material, x, information, correlations)
-    process, squares = process_entries(solution), _goodness(solution, every, x[some])
+    parameters = key_entries(solution, material, information, correlations)
+    squares = _goodness(solution, every, x[some])
     checks = [
         *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
         *doubts.of_tests(problem, parameters, scores, information),
@@ -214,7 +203,7 @@ def result_of(solution: Solution) -> FitResult:
         *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
         *doubts.of_units(problem.experiments),
     )  # fmt: skip
-    draws = _draws(solution, rows, material)
+    draws = draws_of(solution, rows, material)
     content = {
         "parameters": parameters,
         "keys": [*problem.keys],
@@ -225,7 +214,7 @@ def result_of(solution: Solution) -> FitResult:
         "evidence_error": solution.evidence_error,
         "specimens": len({test.groups[0] for test in problem.experiments}),
         "process": process,
-        **_numbers_of_tests(problem.experiments, every, [factors for _, factors in fitted]),
+        **_numbers_of_tests(problem, every, [factors for _, factors in fitted]),
         "histories": solution.histories,
         "failed_histories": solution.failed,
         "steps": solution.steps,
@@ -241,36 +230,8 @@ def result_of(solution: Solution) -> FitResult:
     return FitResult(problem, solution, draws, tuple(every), found, content)
 
 
-def _draws(solution: Solution, rows: IntArray, material: FloatArray) -> Draws:
-    """Return the draws that are kept, some rows of ``theta`` and of unknowns (s, m)."""
-    problem, theta, scatterings = (
-        solution.problem,
-        solution.theta[rows],
-        solution.posterior.scatterings,
-    )
-    keys, tests, process = problem.keys, problem.experiments, problem.settings.process
-    shares, x = (
-        solution.posterior.shares(theta).T,
-        problem.values(solution.posterior.of_tests(theta)),
-    )
-    return Draws(
-        [replace(p, prior=None, scatter=None) for p in problem.parameters],
-        [*units_of(problem).values()],
-        [test.name for test in tests], [test.groups[0] for test in tests],
-        law_names(tests[0].case), [conditions_of(test.case, keys) for test in tests],
-        problem.values(material[rows]), {keys[s.key]: x[..., s.key] for s in scatterings},
-        {(keys[s.key], name): size(theta) for s in scatterings for name, size in s.levels.items()},
-        {
-            key: np.full(len(theta), noise.size or share**2 * depth)
-            for (key, noise), share, depth in zip(
-                process.items(), shares, solution.depths, strict=True
-            )
-        },
-    )  # fmt: skip
-
-
-def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
-    """Write data, model, band and residuals of a series; ``bodies`` are those of random wear."""
+def _write_series(group: h5py.Group, one: FittedSeries) -> None:
+    """Write data, model, band and residuals of a series."""
     series, drawn, factor = one.series, one.drawn, one.series.factor
     group.attrs.update(
         experiment=one.test, series=series.name, quantity=series.quantity,
@@ -282,7 +243,7 @@ def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -
         ("residual", drawn.residuals, "1", "data less model over its noise, white"),
         *((name, factor * getattr(drawn, name), base, of) for name, of in _WRITTEN.items()),
     ]
-    for body, excess, sd in zip(bodies, one.excess.T, one.excess_sd.T, strict=True):
+    for body, (excess, sd) in one.excess.items():
         meaning = "mean depth worn beyond that of the law, by the readings"
         columns.append((f"excess_{body}", excess, "mm", meaning))
         columns.append((f"excess_{body}_sd", sd, "mm", f"sd of excess_{body}"))
@@ -324,9 +285,7 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
 
 
 def _numbers_of_tests(
-    tests: Sequence[Experiment],
-    every: Sequence[FittedSeries],
-    factors: Sequence[Mapping[str, FloatArray]],
+    problem: Problem, every: Sequence[FittedSeries], factors: Sequence[Mapping[str, FloatArray]]
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the numbers of series, their nuisances and measured inputs, by test.
 
@@ -347,7 +306,7 @@ def _numbers_of_tests(
             found["thermal"]["time"] = found.pop(GROWTH_TIME)
         if found:
             nuisance.setdefault(one.test, {})[series.name] = found
-    for test, of_test in zip(tests, factors, strict=True):
+    for test, of_test in zip(problem.experiments, factors, strict=True):
         for measured in test.inputs:
             curve, readings = measured.curve(test.case), measured.readings(test.case)
             off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0

@@ -1,5 +1,6 @@
 """Each test of a fit at the mode and among the draws: model, band, residuals, nuisances."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +24,8 @@ class FittedSeries:
     #: noise, the model at the mode with nuisances and random wear, its band, and residuals, white;
     #: of limits the limit less the model
     drawn: fit_panels.Series
-    #: (n, bodies) mm, depth worn by chance beyond that of the law, and its sd
-    excess: FloatArray
-    excess_sd: FloatArray
+    #: (n,) mm, depth worn by chance beyond that of the law, and its sd, by body
+    excess: dict[str, tuple[FloatArray, FloatArray]]
     #: draws (s,) of nuisances by kind, in the data's unit, and of growth times, s
     nuisances: dict[str, FloatArray]
 
@@ -49,7 +49,7 @@ def fitted_series(
     emulated: EmulatedLikelihood,
     best: FloatArray,
     x: FloatArray,
-    depths: FloatArray,
+    depths: Mapping[str, float],
     level: float,
     random: np.random.Generator,
 ) -> tuple[list[FittedSeries], dict[str, FloatArray]]:
@@ -59,14 +59,13 @@ def fitted_series(
     ----------
     best : (m,) unknowns of the mode.
     x : (s, m) of draws.
-    depths : (bodies,) mm, see ``Solution``.
+    depths : mm, of bodies whose wear is random, see ``Solution``.
     level : of bands.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
     model, excess, _ = with_all(likelihood, emulated.emulator(best[None]))
     models, worn, values = with_all(likelihood, emulated.emulator(x), random)
-    band, excess, excess_sd = models.std(axis=0), excess[0] * depths, worn.std(axis=0) * depths
-    fitted = []
+    band, worn_sd, fitted = models.std(axis=0), worn.std(axis=0), []
     for number, (series, part) in enumerate(records(test.series)):
         # the loss "student" has made the sd of outliers larger
         larger = float((likelihood.setting.sd[part] / series.sd).min())
@@ -79,7 +78,11 @@ def fitted_series(
             sides(test)[part].astype(int),
         )  # fmt: skip
         nuisances = {kind: of for (i, kind), of in values.items() if i == number}
-        fitted.append(FittedSeries(series, drawn, excess[part], excess_sd[part], nuisances))
+        by_chance = {
+            body: (depth * excess[0, part, i], depth * worn_sd[part, i])
+            for i, (body, depth) in enumerate(depths.items())
+        }
+        fitted.append(FittedSeries(series, drawn, by_chance, nuisances))
     scales = [(measured.key, measured.scale) for measured in test.inputs if measured.scale]
     factors = enumerate((key, *scale) for key, scale in scales)
     return fitted, {key: mean + sd * values[-1, str(i)] for i, (key, mean, sd) in factors}

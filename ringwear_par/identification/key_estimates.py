@@ -15,12 +15,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
-from ringwear_par.identification.definition.problem import (
-    GROUPS,
-    FittedParameter,
-    Problem,
-    reflected,
-)
+from ringwear_par.identification.definition.problem import GROUPS, FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import RANDOM
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
@@ -86,7 +81,6 @@ def prior_sd(parameter: FittedParameter) -> float:
 def key_entries(
     solution: Solution,
     material: FloatArray,
-    x: FloatArray,
     information: FloatArray,
     correlations: Mapping[str, FloatArray],
 ) -> dict[str, dict[str, Any]]:
@@ -95,7 +89,6 @@ def key_entries(
     Parameters
     ----------
     material : (s, m) unknowns, a draw for each of the solution's.
-    x : (s, tests, m) unknowns of the tests.
     information : (tests, m) on the unknowns by each test's own readings, given the others.
     correlations : (m,) of the unknowns with nuisances, by their names.
     """
@@ -118,8 +111,8 @@ def key_entries(
             blamed = {name: float(of[j]) for name, of in correlations.items()}
             entry["direction"] = direction(problem, covariance, j, blamed)
     for s in solution.posterior.scatterings:
-        of_key = material[:, s.key], x[..., s.key], information[:, s.key]
-        entries[problem.keys[s.key]] |= _scatter(solution, s, *of_key)
+        more = _scatter(solution, s, material[:, s.key], information[:, s.key])
+        entries[problem.keys[s.key]] |= more
     tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
     at_bound = {key for key, entry in entries.items() if entry["verdict"] == "at bound"}
     for row, parameter in zip(tied, problem.parameters, strict=True):
@@ -135,12 +128,11 @@ def key_entries(
 
 
 def _scatter(
-    solution: Solution, s: Scattering, material: FloatArray, x: FloatArray, information: FloatArray
+    solution: Solution, s: Scattering, material: FloatArray, information: FloatArray
 ) -> dict[str, Any]:
     """Return what fit.json tells of a key that scatters.
 
-    By the unknown of the material (s,) and of the tests (s, tests), and what the own readings of
-    each test tell of it (tests,).
+    By the unknown (s,) of the material, and what the own readings of each test tell (tests,).
     """
     problem, theta, spread = solution.problem, solution.theta, s.spread(solution.theta)
     parameter, level = problem.parameters[s.key], problem.settings.level
@@ -152,10 +144,11 @@ def _scatter(
             scatter[name] = {**_quantiles(size(theta), level), "verdict": verdict}
         scatter[name]["groups"] = len(np.unique(same, axis=0))
     following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
-    following = parameter.value(reflected(following, *map(np.array, s.bounds)))
-    entry = {"of": "material", "scatter": scatter, "next": _quantiles(following, level)["interval"]}
+    ends = _quantiles(parameter.reflected_value(following), level)["interval"]
+    entry = {"of": "material", "scatter": scatter, "next": ends}
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
+    x = theta[:, s.places][:, s.group]
     total, place = float(np.median(spread)), min(map(GROUPS.index, s.levels))
     if "specimen" in s.levels:
         s_r = float(np.median(s.levels["specimen"](theta)))
@@ -186,26 +179,25 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each body whose wear is random."""
     problem, level, entries = solution.problem, solution.problem.settings.level, {}
     shares = solution.posterior.shares(solution.theta)
-    records = [s for test in problem.experiments for s in test.series if not s.profile]
-    most = max((record.n for record in records), default=0)
+    records = (s.n for test in problem.experiments for s in test.series if not s.profile)
+    most = max(records, default=0)
+    low, high = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)  # of the prior
     for (key, process), share, depth in zip(
         problem.settings.process.items(), shares.T, solution.depths.tolist(), strict=True
     ):
-        between = depth / (most - 1) if most > _SEVERAL else None
-        entries[key] = {"depth": depth, "verdict": "identified", "between_readings": between}
-        if not process.fitted:
-            known = float(share[0])
-            size = process.size or known**2 * depth
-            entries[key] |= {"size": {"known": size}, "share": {"known": known}}
-            continue
-        size, found = _quantiles(share**2 * depth, level), _quantiles(share, level)
-        low, high = found["interval"]
-        before = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)
-        if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
-            entries[key]["verdict"] = "not identified"
-        if between is not None and size["estimate"] > between:  # not normal
-            size["interval"] = found["interval"] = [None, None]
-        entries[key] |= {"size": size, "share": found}
+        between, verdict = depth / (most - 1) if most > _SEVERAL else None, "identified"
+        found: dict[str, Any] = {"known": float(share[0])}
+        size: dict[str, Any] = {"known": process.size or float(share[0]) ** 2 * depth}
+        if process.fitted:
+            size, found = _quantiles(share**2 * depth, level), _quantiles(share, level)
+            if np.ptp(np.log(found["interval"])) >= VAGUE * math.log(high / low):
+                verdict = "not identified"
+            if between is not None and size["estimate"] > between:  # not normal
+                size["interval"] = found["interval"] = [None, None]
+        entries[key] = {
+            "size": size, "share": found, "depth": depth, "verdict": verdict,
+            "between_readings": between,
+        }  # fmt: skip
     return entries
 
 

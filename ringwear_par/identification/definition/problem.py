@@ -111,6 +111,11 @@ class FittedParameter:
         within = np.clip(unknown, *map(self.unknown, self.bounds))
         return np.clip(np.exp(within) if self.log else within, *self.bounds)
 
+    def reflected_value(self, unknown: FloatArray) -> FloatArray:
+        """Return the values of unknowns, those beyond the bounds reflected to their inside."""
+        values: FloatArray = self.value(reflected(unknown, *map(self.unknown, self.bounds)))
+        return values
+
 
 def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """Return points (..., m), those beyond the bounds (m,) reflected to their inside."""
