@@ -83,9 +83,9 @@ def fitted_series(
             for i, (body, depth) in enumerate(depths.items())
         }
         fitted.append(FittedSeries(series, drawn, by_chance, nuisances))
-    scales = [(measured.key, measured.scale) for measured in test.inputs if measured.scale]
-    factors = enumerate((key, *scale) for key, scale in scales)
-    return fitted, {key: mean + sd * values[-1, str(i)] for i, (key, mean, sd) in factors}
+    scales = [(measured.key, *measured.scale) for measured in test.inputs if measured.scale]
+    of_inputs = enumerate(scales)
+    return fitted, {key: mean + sd * values[-1, str(i)] for i, (key, mean, sd) in of_inputs}
 
 
 def with_all(

@@ -108,8 +108,10 @@ class FittedParameter:
 
     def value(self, unknown: Any) -> Any:
         """Return the value of an unknown, or those of an array, within the bounds to the bit."""
-        within = np.clip(unknown, *map(self.unknown, self.bounds))
-        return np.clip(np.exp(within) if self.log else within, *self.bounds)
+        if self.log:  # an exponential may overflow
+            low, high = map(self.unknown, self.bounds)
+            unknown = np.exp(np.clip(unknown, low - 1.0, high + 1.0))
+        return np.clip(unknown, *self.bounds)
 
     def reflected_value(self, unknown: FloatArray) -> FloatArray:
         """Return the values of unknowns, those beyond the bounds reflected to their inside."""
