@@ -61,7 +61,7 @@ def _in_words(problem: Problem, covariance: FloatArray) -> str:
         row = KeyRow(parameter.key, parameter.start / scale, sd, unit, interval)
         words = f"{row.ends} ({100 * level:g} %)"
         if sd > VAGUE * prior_sd(parameter):
-            words = f"would not be identified: {direction(problem, covariance, j)}"
+            words = f"would not be identified: {direction(problem, covariance, j, {})}"
         of = " of the material" * (parameter.scatter is not None)
         lines.append(f"  {row.label.ljust(width)}  {row.value}{of}  {words}")
     if taken := [

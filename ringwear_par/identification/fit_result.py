@@ -15,7 +15,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
-from ringwear_par.identification.definition.problem import BASE, GROWTH_TIME, Problem, body_of_wear
+from ringwear_par.identification.definition.problem import BASE, GROWTH_TIME, Problem
 from ringwear_par.identification.draws import CHAINED, Draws, draws_of, write_columns, write_draws
 from ringwear_par.identification.fitted_tests import (
     FittedSeries,
@@ -172,28 +172,20 @@ def _kept(solution: Solution) -> IntArray:
 def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
     problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
-    process, level = process_entries(solution), problem.settings.level
-    x, best = posterior.of_tests(solution.theta), posterior.of_tests(solution.best)
-    material = posterior.material(solution.theta, random)
-    rows, depths = _kept(solution), {body_of_wear(k): e["depth"] for k, e in process.items()}
+    x, material = posterior.of_tests(solution.theta), posterior.material(solution.theta, random)
+    rows, tests = _kept(solution), range(len(problem.experiments))
     some = rows[::_EVERY]
-    fitted = [
-        fitted_series(likelihood, best[i], x[some, i], depths, level, random)
-        for i, likelihood in enumerate(posterior.likelihoods)
-    ]
+    fitted = [fitted_series(solution, i, x[some, i], random) for i in tests]
     every = [one for series, _ in fitted for one in series]
     correlations = {
         f"{kind} of {one.title}": np.corrcoef(material[some].T, drawn)[-1]
         for one in every for kind, drawn in one.nuisances.items()
         if kind != GROWTH_TIME and drawn.std() > 0.0
     }  # fmt: skip
-    shares = np.median(posterior.shares(solution.theta), axis=0)
-    scores, information = np.stack([
-        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
-        for i, likelihood in enumerate(posterior.likelihoods)
-    ], axis=1)  # fmt: skip
+    each = [scores_and_information(solution, i, x[:, i]) for i in tests]
+    scores, information = np.stack(each, axis=1)
     parameters = key_entries(solution, material, information, correlations)
-    squares = _goodness(solution, every, x[some])
+    process, squares = process_entries(solution), _goodness(solution, every, x[some])
     checks = [
         *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
         *doubts.of_tests(problem, parameters, scores, information),
@@ -208,7 +200,7 @@ def result_of(solution: Solution) -> FitResult:
         "parameters": parameters,
         "keys": [*problem.keys],
         "covariance": np.atleast_2d(np.cov(draws.material.T)).tolist(),
-        "level": level,
+        "level": problem.settings.level,
         **squares,
         "evidence": solution.log_evidence,
         "evidence_error": solution.evidence_error,

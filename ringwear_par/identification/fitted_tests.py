@@ -1,15 +1,15 @@
 """Each test of a fit at the mode and among the draws: model, band, residuals, nuisances."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import log_ndtr
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import Series, records
+from ringwear_par.identification.definition.problem import Series, body_of_wear, records
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import coloured, log_volumes, sides, whitened
+from ringwear_par.identification.solution import Solution
 from ringwear_par.pictures import fit_panels
 
 #: step of differences of log p, in the sd of an unknown
@@ -46,27 +46,19 @@ class FittedSeries:
 
 
 def fitted_series(
-    emulated: EmulatedLikelihood,
-    best: FloatArray,
-    x: FloatArray,
-    depths: Mapping[str, float],
-    level: float,
-    random: np.random.Generator,
+    solution: Solution, number: int, x: FloatArray, random: np.random.Generator
 ) -> tuple[list[FittedSeries], dict[str, FloatArray]]:
     """Return the series of a test, and draws (s,) of the factors on its inputs, by their keys.
 
-    Parameters
-    ----------
-    best : (m,) unknowns of the mode.
-    x : (s, m) of draws.
-    depths : mm, of bodies whose wear is random, see ``Solution``.
-    level : of bands.
+    The test has unknowns (s, m) in draws, which tell bands and nuisances.
     """
+    emulated, settings = solution.posterior.likelihoods[number], solution.problem.settings
     likelihood, test = emulated.likelihood, emulated.likelihood.test
+    best = solution.posterior.of_tests(solution.best)[number]
     model, excess, _ = with_all(likelihood, emulated.emulator(best[None]))
     models, worn, values = with_all(likelihood, emulated.emulator(x), random)
     band, worn_sd, fitted = models.std(axis=0), worn.std(axis=0), []
-    for number, (series, part) in enumerate(records(test.series)):
+    for place, (series, part) in enumerate(records(test.series)):
         # the loss "student" has made the sd of outliers larger
         larger = float((likelihood.setting.sd[part] / series.sd).min())
         sd = (larger if series.sd_fitted else 1.0) * series.sd
@@ -74,13 +66,13 @@ def fitted_series(
         drawn = fit_panels.Series(
             test.name, series.name, series.quantity, series.unit, series.x, series.value / factor,
             model[0, part] / factor, sd / factor, band[part] / factor,
-            whitened(series, off) if series.censored is None else off, level, test.case.contact,
-            sides(test)[part].astype(int),
+            whitened(series, off) if series.censored is None else off, settings.level,
+            test.case.contact, sides(test)[part].astype(int),
         )  # fmt: skip
-        nuisances = {kind: of for (i, kind), of in values.items() if i == number}
+        nuisances = {kind: of for (i, kind), of in values.items() if i == place}
         by_chance = {
-            body: (depth * excess[0, part, i], depth * worn_sd[part, i])
-            for i, (body, depth) in enumerate(depths.items())
+            body_of_wear(key): (depth * excess[0, part, i], depth * worn_sd[part, i])
+            for i, (key, depth) in enumerate(zip(settings.process, solution.depths, strict=True))
         }
         fitted.append(FittedSeries(series, drawn, by_chance, nuisances))
     scales = [(measured.key, *measured.scale) for measured in test.inputs if measured.scale]
@@ -127,21 +119,20 @@ def readings_of_draws(
     return logs, replicas
 
 
-def scores_and_information(
-    emulated: EmulatedLikelihood, x: FloatArray, shares: FloatArray, sd: FloatArray
-) -> FloatArray:
-    """Return slopes of log p of a test by each unknown, and minus its curvatures, (2, m).
+def scores_and_information(solution: Solution, number: int, x: FloatArray) -> FloatArray:
+    """Return slopes of log p of a test by each unknown at the mode, minus its curvatures, (2, m).
 
-    Parameters
-    ----------
-    x : (m,) unknowns.
-    shares : (bodies,) of random wear.
-    sd : (m,) of the unknowns.
+    The test has unknowns (s, m) in draws.
     """
-    m, step = len(x), _STEP * np.where(sd > 0.0, sd, 1e-6)
-    points = x + np.concatenate([np.zeros((1, m)), np.diag(step), -np.diag(step)])
-    coordinates = emulated.emulator.coordinates(points)
-    middle, up, down = np.split(
-        emulated(coordinates, np.tile(shares, (len(points), 1))), [1, m + 1]
+    emulated, posterior, sd = (
+        solution.posterior.likelihoods[number],
+        solution.posterior,
+        x.std(axis=0),
     )
+    m, step = len(sd), _STEP * np.where(sd > 0.0, sd, 1e-6)
+    moves = np.concatenate([np.zeros((1, m)), np.diag(step), -np.diag(step)])
+    points = posterior.of_tests(solution.best)[number] + moves
+    shares = np.tile(np.median(posterior.shares(solution.theta), axis=0), (len(points), 1))
+    log_p = emulated(emulated.emulator.coordinates(points), shares)
+    middle, up, down = np.split(log_p, [1, m + 1])
     return np.array([(up - down) / (2.0 * step), (2.0 * middle - up - down) / step**2])

@@ -108,8 +108,7 @@ def key_entries(
             "unit": units[parameter.key],
         }
         if verdict == "not identified":
-            blamed = {name: float(of[j]) for name, of in correlations.items()}
-            entry["direction"] = direction(problem, covariance, j, blamed)
+            entry["direction"] = direction(problem, covariance, j, correlations)
     for s in solution.posterior.scatterings:
         more = _scatter(solution, s, material[:, s.key], information[:, s.key])
         entries[problem.keys[s.key]] |= more
@@ -202,14 +201,14 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
 
 
 def direction(
-    problem: Problem, covariance: FloatArray, j: int, nuisances: dict[str, float] | None = None
+    problem: Problem, covariance: FloatArray, j: int, correlations: Mapping[str, FloatArray]
 ) -> str:
     """Return in words what the readings determine instead of a key.
 
     Parameters
     ----------
     covariance : (m, m) of the unknowns.
-    nuisances : their correlation with the key, by name.
+    correlations : (m,) with nuisances, by their names.
     """
     parameters = problem.parameters
     size = np.array([prior_sd(p) for p in parameters])
@@ -223,9 +222,9 @@ def direction(
         power = -one / two
         exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
         return f"only {first} {'x' if power > 0 else '/'} {second}{exponent} is known"
-    if nuisances:
-        name = max(nuisances, key=lambda name: abs(nuisances[name]))
-        others += [name] * (abs(nuisances[name]) > _TOGETHER)
+    if correlations:
+        together, name = max((abs(float(of[j])), name) for name, of in correlations.items())
+        others += [name] * (together > _TOGETHER)
     if not others:
         return f"the readings hardly respond to {parameters[j].key}"
     return f"{parameters[j].key} against {' and '.join(others)}"
