@@ -189,7 +189,7 @@ FAULTS = [
           "column[:] = series.x / case.time.end", "column[:] = series.x / series.x.max()",
           "identification/test_readings.py -k test_nuisances"),
     Fault("chains of draws", "identification/draws.py",
-          "name: values[()].reshape(-1,", "name: values[::-1].reshape(-1,",
+          "name: of.reshape(-1,", "name: of[::-1].reshape(-1,",
           "identification/test_fit_folder.py -k read_as"),
     Fault("information of a next test", "identification/design/information.py",
           "sd=sd / np.sqrt(", "sd=2.0 * sd / np.sqrt(", "identification/design/test_design.py"),

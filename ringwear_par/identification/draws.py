@@ -186,22 +186,18 @@ def read_draws(path: Path) -> Draws:
     InputError : the file is of anything else, or damaged.
     """
     with reading(path, SOFTWARE, "the draws of ringwear fit") as file:
-        group = file["posterior"]
-        about = json.loads(group.attrs["fit"])
-
-        def values(name: str) -> FloatArray:
-            chains: FloatArray = group[name][()]
-            return chains.reshape(-1, *chains.shape[2:])
-
+        about = json.loads(file["posterior"].attrs["fit"])
+        stored = {name: of[()] for name, of in file["posterior"].items() if of.ndim > 1}
+        found = {name: of.reshape(-1, *of.shape[2:]) for name, of in stored.items()}
         about["parameters"] = [
             FittedParameter(key, start, tuple(bounds), log)
             for key, start, bounds, log in about["parameters"]
         ]
-        about["tests"] = {key: values(_TESTS.format(key)) for key in about["tests"]}
+        about["tests"] = {key: found[_TESTS.format(key)] for key in about["tests"]}
         about["scatter"] = {
-            (key, level): values(_SCATTER.format(key, PLURALS[level]))
+            (key, level): found[_SCATTER.format(key, PLURALS[level])]
             for key, level in about["scatter"]
         }
-        about["process"] = {key: values(_PROCESS.format(key)) for key in about["process"]}
-        keys = [parameter.key for parameter in about["parameters"]]
-        return Draws(**about, material=np.stack([*map(values, keys)], axis=-1))
+        about["process"] = {key: found[_PROCESS.format(key)] for key in about["process"]}
+        material = np.stack([found[p.key] for p in about["parameters"]], axis=-1)
+        return Draws(**about, material=material)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import chi2
@@ -15,7 +14,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
-from ringwear_par.identification.definition.problem import BASE, GROWTH_TIME, Problem
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem
 from ringwear_par.identification.draws import CHAINED, Draws, draws_of, write_columns, write_draws
 from ringwear_par.identification.fitted_tests import (
     FittedSeries,
@@ -39,11 +38,6 @@ from ringwear_par.version import versions
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
 #: draws that are kept; of how many of these one tells bands and nuisances
 _KEPT, _EVERY = 2000, 4
-#: what is written of series, and what it means
-_WRITTEN = {
-    "data": "what was read", "sd": "noise of the data", "band": "sd of the model's reading",
-    "model": "the model's reading, with nuisances and random wear",
-}  # fmt: skip
 #: most columns of series; inches of readings with their residuals, and of a legend above all
 _COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
 #: inches of the strip of single readings: height of a row, margin around them, least width
@@ -107,7 +101,13 @@ class FitResult(Outcome):
                                **self.content["versions"]})  # fmt: skip
             for number, one in enumerate(self.series, start=1):
                 name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
-                _write_series(file.create_group(name), one)
+                group, series = file.create_group(name), one.series
+                group.attrs.update(
+                    experiment=one.test, series=series.name, quantity=series.quantity,
+                    file=series.file, data_unit=series.unit, contact=one.drawn.edges,
+                )  # fmt: skip
+                columns = [(name, *column) for name, column in one.columns.items()]
+                write_columns(group, ("reading",), columns)
             inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
             for number, (test, measured) in enumerate(inputs, start=1):
                 group, unit = file.create_group(f"inputs/{number}"), measured.unit
@@ -220,29 +220,6 @@ def result_of(solution: Solution) -> FitResult:
         "data": dict(problem.hashes),
     }  # fmt: skip
     return FitResult(problem, solution, draws, tuple(every), found, content)
-
-
-def _write_series(group: h5py.Group, one: FittedSeries) -> None:
-    """Write data, model, band and residuals of a series."""
-    series, drawn, factor = one.series, one.drawn, one.series.factor
-    group.attrs.update(
-        experiment=one.test, series=series.name, quantity=series.quantity,
-        file=series.file, data_unit=series.unit, contact=drawn.edges,
-    )  # fmt: skip
-    base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
-    columns = [
-        (at[0], series.x, at[1], "where or when it was read"),
-        ("residual", drawn.residuals, "1", "data less model over its noise, white"),
-        *((name, factor * getattr(drawn, name), base, of) for name, of in _WRITTEN.items()),
-    ]
-    for body, (excess, sd) in one.excess.items():
-        meaning = "mean depth worn beyond that of the law, by the readings"
-        columns.append((f"excess_{body}", excess, "mm", meaning))
-        columns.append((f"excess_{body}_sd", sd, "mm", f"sd of excess_{body}"))
-    if drawn.censored.any():
-        meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-        columns.append(("censored", drawn.censored.astype(float), "1", meaning))
-    write_columns(group, ("reading",), columns)
 
 
 def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:

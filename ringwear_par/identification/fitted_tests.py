@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import Series, body_of_wear, records
+from ringwear_par.identification.definition.problem import BASE, Series, body_of_wear, records
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import coloured, log_volumes, sides, whitened
 from ringwear_par.identification.solution import Solution
@@ -24,8 +24,8 @@ class FittedSeries:
     #: noise, the model at the mode with nuisances and random wear, its band, and residuals, white;
     #: of limits the limit less the model
     drawn: fit_panels.Series
-    #: (n,) mm, depth worn by chance beyond that of the law, and its sd, by body
-    excess: dict[str, tuple[FloatArray, FloatArray]]
+    #: the same and what is worn by chance, as files have it: (n,) values, unit and meaning by name
+    columns: dict[str, tuple[FloatArray, str, str]]
     #: draws (s,) of nuisances by kind, in the data's unit, and of growth times, s
     nuisances: dict[str, FloatArray]
 
@@ -61,20 +61,32 @@ def fitted_series(
     for place, (series, part) in enumerate(records(test.series)):
         # the loss "student" has made the sd of outliers larger
         larger = float((likelihood.setting.sd[part] / series.sd).min())
-        sd = (larger if series.sd_fitted else 1.0) * series.sd
+        sd, limits = (larger if series.sd_fitted else 1.0) * series.sd, sides(test)[part]
         off, factor = (series.value - model[0, part]) / sd, series.factor
+        residuals = whitened(series, off) if series.censored is None else off
         drawn = fit_panels.Series(
             test.name, series.name, series.quantity, series.unit, series.x, series.value / factor,
-            model[0, part] / factor, sd / factor, band[part] / factor,
-            whitened(series, off) if series.censored is None else off, settings.level,
-            test.case.contact, sides(test)[part].astype(int),
+            model[0, part] / factor, sd / factor, band[part] / factor, residuals, settings.level,
+            test.case.contact, limits.astype(int),
         )  # fmt: skip
-        nuisances = {kind: of for (i, kind), of in values.items() if i == place}
-        by_chance = {
-            body_of_wear(key): (depth * excess[0, part, i], depth * worn_sd[part, i])
-            for i, (key, depth) in enumerate(zip(settings.process, solution.depths, strict=True))
+        base, (along, unit) = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
+        columns = {
+            along: (series.x, unit, "where or when it was read"),
+            "residual": (residuals, "1", "data less model over its noise, white"),
+            "data": (series.value, base, "what was read"),
+            "sd": (sd, base, "noise of the data"),
+            "band": (band[part], base, "sd of the model's reading"),
+            "model": (model[0, part], base, "the model's reading, with nuisances and random wear"),
         }
-        fitted.append(FittedSeries(series, drawn, by_chance, nuisances))
+        for i, (key, depth) in enumerate(zip(settings.process, solution.depths, strict=True)):
+            name, of = f"excess_{body_of_wear(key)}", "depth worn beyond that of the law"
+            columns[name] = depth * excess[0, part, i], "mm", f"mean {of}, by the readings"
+            columns[f"{name}_sd"] = depth * worn_sd[part, i], "mm", f"sd of {name}"
+        if limits.any():
+            meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+            columns["censored"] = limits, "1", meaning
+        nuisances = {kind: of for (i, kind), of in values.items() if i == place}
+        fitted.append(FittedSeries(series, drawn, columns, nuisances))
     scales = [(measured.key, *measured.scale) for measured in test.inputs if measured.scale]
     of_inputs = enumerate(scales)
     return fitted, {key: mean + sd * values[-1, str(i)] for i, (key, mean, sd) in of_inputs}
