@@ -20,6 +20,8 @@ _STEP = 0.02
 class FittedSeries:
     """A series as it was fitted."""
 
+    #: name of its test
+    test: str
     series: Series
     #: noise, the model at the mode with nuisances and random wear, its band, and residuals, white;
     #: of limits the limit less the model
@@ -28,11 +30,6 @@ class FittedSeries:
     columns: dict[str, tuple[FloatArray, str, str]]
     #: draws (s,) of nuisances by kind, in the data's unit, and of growth times, s
     nuisances: dict[str, FloatArray]
-
-    @property
-    def test(self) -> str:
-        """The name of its test."""
-        return self.drawn.experiment
 
     @property
     def title(self) -> str:
@@ -86,7 +83,7 @@ def fitted_series(
             meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
             columns["censored"] = limits, "1", meaning
         nuisances = {kind: of for (i, kind), of in values.items() if i == place}
-        fitted.append(FittedSeries(series, drawn, columns, nuisances))
+        fitted.append(FittedSeries(test.name, series, drawn, columns, nuisances))
     scales = [(measured.key, *measured.scale) for measured in test.inputs if measured.scale]
     of_inputs = enumerate(scales)
     return fitted, {key: mean + sd * values[-1, str(i)] for i, (key, mean, sd) in of_inputs}

@@ -101,7 +101,7 @@ def key_entries(
         entry = entries[parameter.key] = {
             "estimate": float(np.median(values[:, j])),
             "sd": float(values[:, j].std()),
-            "interval": [None if end is None else parameter.value(end) for end in ends],
+            "interval": [None if end is None else float(parameter.value(end)) for end in ends],
             "verdict": verdict,
             "bounds": list(parameter.bounds),
             "of": "specimens",
