@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
@@ -102,10 +102,10 @@ class Draws:
         return replace(problem, parameters=tuple(parameters))
 
 
-def draws_of(solution: Solution, rows: IntArray, material: FloatArray) -> Draws:
-    """Return some rows of the draws of a solution, which have unknowns (s, m) of the material."""
-    problem, posterior = solution.problem, solution.posterior
-    keys, tests, theta = problem.keys, problem.experiments, solution.theta[rows]
+def draws_of(solution: Solution, material: FloatArray) -> Draws:
+    """Return the draws of a solution, with values (s, m) of the material."""
+    problem, posterior, theta = solution.problem, solution.posterior, solution.theta
+    keys, tests = problem.keys, problem.experiments
     x, shares = problem.values(posterior.of_tests(theta)), posterior.shares(theta).T
     process = zip(problem.settings.process.items(), shares, solution.depths, strict=True)
     scatter = [(keys[s.key], s.levels.items()) for s in posterior.scatterings]
@@ -114,7 +114,7 @@ def draws_of(solution: Solution, rows: IntArray, material: FloatArray) -> Draws:
         [*units_of(problem).values()], [test.name for test in tests],
         [test.groups[0] for test in tests], law_names(tests[0].case),
         [conditions_of(test.case, keys) for test in tests],
-        problem.values(material[rows]), {keys[s.key]: x[..., s.key] for s in posterior.scatterings},
+        material, {keys[s.key]: x[..., s.key] for s in posterior.scatterings},
         {(key, name): size(theta) for key, levels in scatter for name, size in levels},
         {key: np.full(len(theta), noise.size or share**2 * depth)
          for (key, noise), share, depth in process},

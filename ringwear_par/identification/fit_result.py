@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
@@ -50,7 +50,7 @@ class FitResult(Outcome):
 
     #: with friction as torques tell it
     problem: Problem
-    #: draws, with the emulators
+    #: the draws that are kept, with the emulators
     solution: Solution
     #: of what the fit knows
     draws: Draws
@@ -121,12 +121,10 @@ class FitResult(Outcome):
 
     def _write_draws(self, path: Path) -> None:
         """Write draws.nc: draws, replicas of the readings by each, and log likelihoods."""
-        random, every, posterior = np.random.default_rng(0), self.series, self.solution.posterior
-        x = posterior.of_tests(self.solution.theta[_kept(self.solution)])
-        logs, replicas = zip(*(
-            readings_of_draws(likelihood, x[:, i], random)
-            for i, likelihood in enumerate(posterior.likelihoods)
-        ), strict=True)  # fmt: skip
+        random, every = np.random.default_rng(0), self.series
+        tests = range(len(self.problem.experiments))
+        of_tests = [readings_of_draws(self.solution, i, random) for i in tests]
+        logs, replicas = (np.hstack(of) for of in zip(*of_tests, strict=True))
         places = {
             "test": [one.test for one in every for _ in one.series.x],
             "series": [one.series.name for one in every for _ in one.series.x],
@@ -137,8 +135,8 @@ class FitResult(Outcome):
             write_draws(file.create_group("posterior"), self.draws)
             for name, axes, values in (
                 ("observed_data", (), np.concatenate([one.series.value for one in every])),
-                ("posterior_predictive", CHAINED, np.hstack(replicas)),
-                ("log_likelihood", CHAINED, np.hstack(logs)),
+                ("posterior_predictive", CHAINED, replicas),
+                ("log_likelihood", CHAINED, logs),
             ):
                 group, meaning = file.create_group(name), name.replace("_", " ")
                 write_columns(group, (*axes, "place"), [("reading", values, "1", meaning)])
@@ -164,28 +162,24 @@ class FitResult(Outcome):
         return panel_figure(rows, size, [5, 2] * (len(rows) // 2))
 
 
-def _kept(solution: Solution) -> IntArray:
-    """Return rows of the draws that are kept."""
-    return np.linspace(0, len(solution.theta) - 1, _KEPT).round().astype(int)
-
-
 def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
     problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
-    x, material = posterior.of_tests(solution.theta), posterior.material(solution.theta, random)
-    rows, tests = _kept(solution), range(len(problem.experiments))
+    material, tests = posterior.material(solution.theta, random), range(len(problem.experiments))
+    rows = np.linspace(0, len(material) - 1, _KEPT).round().astype(int)
     some = rows[::_EVERY]
-    fitted = [fitted_series(solution, i, x[some, i], random) for i in tests]
+    kept, few = (replace(solution, theta=solution.theta[of]) for of in (rows, some))
+    fitted = [fitted_series(few, i, random) for i in tests]
     every = [one for series, _ in fitted for one in series]
     correlations = {
         f"{kind} of {one.title}": np.corrcoef(material[some].T, drawn)[-1]
         for one in every for kind, drawn in one.nuisances.items()
         if kind != GROWTH_TIME and drawn.std() > 0.0
     }  # fmt: skip
-    each = [scores_and_information(solution, i, x[:, i]) for i in tests]
+    each = [scores_and_information(solution, i) for i in tests]
     scores, information = np.stack(each, axis=1)
     parameters = key_entries(solution, material, information, correlations)
-    process, squares = process_entries(solution), _goodness(solution, every, x[some])
+    process, squares = process_entries(solution), _goodness(few, every)
     checks = [
         *doubts.of_computation(solution), *doubts.of_squares(squares), *doubts.of_trends(every),
         *doubts.of_tests(problem, parameters, scores, information),
@@ -195,7 +189,7 @@ def result_of(solution: Solution) -> FitResult:
         *doubts.of_readings(every), *doubts.of_sizes(parameters, process),
         *doubts.of_units(problem.experiments),
     )  # fmt: skip
-    draws = draws_of(solution, rows, material)
+    draws = draws_of(kept, problem.values(material[rows]))
     content = {
         "parameters": parameters,
         "keys": [*problem.keys],
@@ -219,11 +213,11 @@ def result_of(solution: Solution) -> FitResult:
         "versions": versions(),
         "data": dict(problem.hashes),
     }  # fmt: skip
-    return FitResult(problem, solution, draws, tuple(every), found, content)
+    return FitResult(problem, kept, draws, tuple(every), found, content)
 
 
-def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:
-    """Return what tells how well the model fits, by draws (s, tests, m) of unknowns.
+def _goodness(solution: Solution, every: Sequence[FittedSeries]) -> dict[str, Any]:
+    """Return what tells how well the model fits, by the draws of a solution.
 
     ``chi2`` is the sum of squares at the mode, with those of priors, of all readings but mere
     limits, over the noise and random wear; its freedom is the readings less nuisances without
@@ -232,7 +226,7 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     None where all is fitted, or has long tails.
     """
     posterior, student = solution.posterior, solution.problem.settings.loss == "student"
-    points = np.concatenate([posterior.of_tests(solution.best[None]), x])
+    points = posterior.of_tests(np.vstack([solution.best, solution.theta]))
     rows, of_parts, given = list[FloatArray](), list[float](), list[bool]()
     for i, emulated in enumerate(posterior.likelihoods):
         likelihood, series = emulated.likelihood, emulated.likelihood.test.series

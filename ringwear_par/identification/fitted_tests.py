@@ -42,16 +42,19 @@ class FittedSeries:
         return self.drawn.residuals[self.drawn.censored == 0]
 
 
-def fitted_series(
-    solution: Solution, number: int, x: FloatArray, random: np.random.Generator
-) -> tuple[list[FittedSeries], dict[str, FloatArray]]:
-    """Return the series of a test, and draws (s,) of the factors on its inputs, by their keys.
+def _of_test(solution: Solution, number: int) -> tuple[EmulatedLikelihood, FloatArray, FloatArray]:
+    """Return the likelihood of a test, and its unknowns at the mode (m,) and in draws (s, m)."""
+    posterior, both = solution.posterior, (solution.best, solution.theta)
+    best, x = (posterior.of_tests(theta)[..., number, :] for theta in both)
+    return posterior.likelihoods[number], best, x
 
-    The test has unknowns (s, m) in draws, which tell bands and nuisances.
-    """
-    emulated, settings = solution.posterior.likelihoods[number], solution.problem.settings
+
+def fitted_series(
+    solution: Solution, number: int, random: np.random.Generator
+) -> tuple[list[FittedSeries], dict[str, FloatArray]]:
+    """Return the series of a test, and draws (s,) of the factors on its inputs, by their keys."""
+    (emulated, best, x), settings = _of_test(solution, number), solution.problem.settings
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    best = solution.posterior.of_tests(solution.best)[number]
     model, excess, _ = with_all(likelihood, emulated.emulator(best[None]))
     models, worn, values = with_all(likelihood, emulated.emulator(x), random)
     band, worn_sd, fitted = models.std(axis=0), worn.std(axis=0), []
@@ -108,12 +111,13 @@ def with_all(
 
 
 def readings_of_draws(
-    emulated: EmulatedLikelihood, x: FloatArray, random: np.random.Generator
+    solution: Solution, number: int, random: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Return log p of each reading, by those before where noise is correlated, and replicas.
 
-    Both are (s, n), at unknowns (s, m) of draws; nuisances and random wear are drawn beside them.
+    Both are (s, n), at the draws of a test; nuisances and random wear are drawn beside them.
     """
+    emulated, _, x = _of_test(solution, number)
     likelihood, test = emulated.likelihood, emulated.likelihood.test
     models = with_all(likelihood, emulated.emulator(x), random)[0]
     sd, side = likelihood.setting.sd, sides(test)
@@ -128,20 +132,14 @@ def readings_of_draws(
     return logs, replicas
 
 
-def scores_and_information(solution: Solution, number: int, x: FloatArray) -> FloatArray:
-    """Return slopes of log p of a test by each unknown at the mode, minus its curvatures, (2, m).
-
-    The test has unknowns (s, m) in draws.
-    """
-    emulated, posterior, sd = (
-        solution.posterior.likelihoods[number],
-        solution.posterior,
-        x.std(axis=0),
-    )
-    m, step = len(sd), _STEP * np.where(sd > 0.0, sd, 1e-6)
-    moves = np.concatenate([np.zeros((1, m)), np.diag(step), -np.diag(step)])
-    points = posterior.of_tests(solution.best)[number] + moves
-    shares = np.tile(np.median(posterior.shares(solution.theta), axis=0), (len(points), 1))
-    log_p = emulated(emulated.emulator.coordinates(points), shares)
+def scores_and_information(solution: Solution, number: int) -> FloatArray:
+    """Return slopes of log p of a test at the mode, and minus its curvatures, (2, m)."""
+    (emulated, best, x), m = _of_test(solution, number), len(solution.problem.parameters)
+    sd = x.std(axis=0)
+    step = _STEP * np.where(sd > 0.0, sd, 1e-6)
+    points = best + np.concatenate([np.zeros((1, m)), np.diag(step), -np.diag(step)])
+    shares = np.median(solution.posterior.shares(solution.theta), axis=0)
+    coordinates = emulated.emulator.coordinates(points)
+    log_p = emulated(coordinates, np.tile(shares, (len(points), 1)))
     middle, up, down = np.split(log_p, [1, m + 1])
     return np.array([(up - down) / (2.0 * step), (2.0 * middle - up - down) / step**2])
