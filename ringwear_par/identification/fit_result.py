@@ -1,12 +1,11 @@
 """The result of a fit: the numbers of fit.json, draws, the tests as they were fitted; its files."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import chi2
@@ -16,23 +15,8 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.files import folders
 from ringwear_par.identification import doubts
-from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import (
-    BASE,
-    GROWTH_TIME,
-    Experiment,
-    Problem,
-    body_of_wear,
-)
-from ringwear_par.identification.draws import (
-    CHAINS,
-    Draws,
-    conditions_of,
-    law_names,
-    values_of,
-    write_columns,
-    write_draws,
-)
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Problem
+from ringwear_par.identification.draws import CHAINED, Draws, draws_of, write_columns, write_draws
 from ringwear_par.identification.fitted_tests import (
     FittedSeries,
     fitted_series,
@@ -53,13 +37,8 @@ from ringwear_par.version import versions
 
 #: files of its folder
 FILES = (folders.FIT, folders.READINGS, folders.POSTERIOR, folders.CURVES)
-#: draws that are kept, of each of the chains that ArviZ wants; how many of all tell bands
-_KEPT, _BANDS = 500, 500
-#: what is written of series, and what it means
-_WRITTEN = {
-    "data": "what was read", "sd": "noise of the data", "band": "sd of the model's reading",
-    "model": "the model's reading, with nuisances and random wear",
-}  # fmt: skip
+#: draws that are kept; of how many of these one tells bands and nuisances
+_KEPT, _EVERY = 2000, 4
 #: most columns of series; inches of readings with their residuals, and of a legend above all
 _COLUMNS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.3, 3.9, 0.4
 #: inches of the strip of single readings: height of a row, margin around them, least width
@@ -72,7 +51,7 @@ class FitResult(Outcome):
 
     #: with friction as torques tell it
     problem: Problem
-    #: draws, with the emulators
+    #: the draws that are kept, with the emulators
     solution: Solution
     #: of what the fit knows
     draws: Draws
@@ -118,42 +97,53 @@ class FitResult(Outcome):
     def _write_readings(self, path: Path) -> None:
         """Write results.h5: the series of all tests, and their measured inputs."""
         problem = self.problem
-        bodies = [body_of_wear(key) for key in problem.settings.process]
         with atomic_hdf5(path) as file:
             file.attrs.update({"software": SOFTWARE, "fit": problem.text, "keys": [*problem.keys],
                                **self.content["versions"]})  # fmt: skip
             for number, one in enumerate(self.series, start=1):
                 name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', one.series.name)}"
-                _write_series(file.create_group(name), one, bodies)
+                group, series = file.create_group(name), one.series
+                group.attrs.update(
+                    experiment=one.test, series=series.name, quantity=series.quantity,
+                    file=series.file, data_unit=series.unit, contact=one.drawn.edges,
+                )  # fmt: skip
+                columns = [(name, *column) for name, column in one.columns.items()]
+                write_columns(group, ("reading",), columns)
             inputs = [(test, entry) for test in problem.experiments for entry in test.inputs]
             for number, (test, measured) in enumerate(inputs, start=1):
                 group = file.create_group(f"inputs/{number}")
                 unit = unit_of(measured.key) or "1"
                 group.attrs.update(experiment=test.name, key=measured.key, unit=unit)
-                time, readings = measured.series.x, measured.readings(test.case)
-                write_columns(group, {"reading": len(time)}, [
+                time = measured.series.x
+                write_columns(group, ("reading",), [
                     ("time", time, "s", "time"),
-                    ("data", readings, unit, "reading, in the unit of the key"),
+                    ("data", measured.readings(test.case), unit, "reading, in the unit of the key"),
                     ("curve", measured.curve(test.case)(time), unit, "the case's value"),
                 ])  # fmt: skip
 
     def _write_draws(self, path: Path) -> None:
         """Write draws.nc: draws, replicas of the readings by each, and log likelihoods."""
         random, every = np.random.default_rng(0), self.series
-        logs, replicas = zip(*(
-            readings_of_draws(likelihood, self.draws.of_test(i), random)
-            for i, likelihood in enumerate(self.solution.posterior.likelihoods)
-        ), strict=True)  # fmt: skip
-        readings = {
-            "observed_data": np.concatenate([one.series.value for one in every]),
-            "posterior_predictive": np.hstack(replicas), "log_likelihood": np.hstack(logs),
-        }  # fmt: skip
+        tests = range(len(self.problem.experiments))
+        of_tests = [readings_of_draws(self.solution, i, random) for i in tests]
+        logs, replicas = (np.hstack(of) for of in zip(*of_tests, strict=True))
         places = {
             "test": [one.test for one in every for _ in one.series.x],
             "series": [one.series.name for one in every for _ in one.series.x],
-            "at": [x for one in every for x in one.series.x.tolist()],
+            "at": np.concatenate([one.series.x for one in every]),
         }
-        write_draws(path, self.draws, self.content["versions"], places, readings)
+        with atomic_hdf5(path) as file:
+            file.attrs.update({"software": SOFTWARE, **self.content["versions"]})
+            write_draws(file.create_group("posterior"), self.draws)
+            for name, axes, values in (
+                ("observed_data", (), np.concatenate([one.series.value for one in every])),
+                ("posterior_predictive", CHAINED, replicas),
+                ("log_likelihood", CHAINED, logs),
+            ):
+                group, meaning = file.create_group(name), name.replace("_", " ")
+                write_columns(group, (*axes, "place"), [("reading", values, "1", meaning)])
+                columns = [(of, v, "1", f"{of} of the reading") for of, v in places.items()]
+                write_columns(group, ("place",), columns)
 
     def plot(self) -> Figure:
         """Return the figure of data, model, its band and residuals.
@@ -177,37 +167,28 @@ class FitResult(Outcome):
 def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
     problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
-    x, best = posterior.of_tests(solution.theta), posterior.of_tests(solution.best)
-    material = posterior.material(solution.theta, random)
-    log, bounds = (np.array([getattr(p, n) for p in problem.parameters]) for n in ("log", "bounds"))
-    values, of_tests = (values_of(unknowns, log, bounds) for unknowns in (material, x))
-    rows = np.linspace(0, len(x) - 1, CHAINS * _KEPT).round().astype(int)
-    some = rows[:: max(1, len(rows) // _BANDS)]
-    every, scales = list[FittedSeries](), list[FloatArray]()
-    for i, likelihood in enumerate(posterior.likelihoods):
-        series, drawn = fitted_series(
-            likelihood, best[i], x[some, i], solution.depths, problem.settings.level, random
-        )
-        every, scales = every + series, scales + drawn
+    material, tests = posterior.material(solution.theta, random), range(len(problem.experiments))
+    rows = np.linspace(0, len(material) - 1, _KEPT).round().astype(int)
+    some = rows[::_EVERY]
+    kept, few = (replace(solution, theta=solution.theta[of]) for of in (rows, some))
+    fitted = [fitted_series(few, i, random) for i in tests]
+    every = [one for series, _ in fitted for one in series]
     correlations = {
         f"{kind} of {one.title}": np.corrcoef(material[some].T, drawn)[-1]
         for one in every for kind, drawn in one.nuisances.items()
         if kind != GROWTH_TIME and drawn.std() > 0.0
     }  # fmt: skip
-    shares = np.median(posterior.shares(solution.theta), axis=0)
-    scores, information = np.stack([
-        scores_and_information(likelihood, best[i], shares, x[:, i].std(axis=0))
-        for i, likelihood in enumerate(posterior.likelihoods)
-    ], axis=1)  # fmt: skip
-    parameters = key_entries(solution, material, values, of_tests, information, correlations)
-    process, squares = process_entries(solution), _goodness(solution, every, x[some])
+    each = [scores_and_information(solution, i) for i in tests]
+    scores, information = np.stack(each, axis=1)
+    parameters = key_entries(solution, material, information, correlations)
+    process, squares = process_entries(solution), _goodness(few, every)
     checked = [
         *doubts.of_keys(parameters), *doubts.of_fit(solution, squares), *doubts.of_series(every),
         *doubts.of_tests(problem, parameters, scores, information),
         *doubts.of_sizes(parameters, process),
     ]  # fmt: skip
     found = tuple(one for one in checked if isinstance(one, ValidityWarning))
-    draws = _draws(solution, rows, values[rows], of_tests[rows])
+    draws = draws_of(kept, problem.values(material[rows]))
     content = {
         "parameters": parameters,
         "keys": [*problem.keys],
@@ -218,7 +199,7 @@ def result_of(solution: Solution) -> FitResult:
         "evidence_error": solution.evidence_error,
         "specimens": len({test.groups[0] for test in problem.experiments}),
         "process": process,
-        **_numbers_of_tests(problem.experiments, every, scales),
+        **_numbers_of_tests(problem, every, [factors for _, factors in fitted]),
         "histories": solution.histories,
         "failed_histories": solution.failed,
         "steps": solution.steps,
@@ -231,55 +212,11 @@ def result_of(solution: Solution) -> FitResult:
         "versions": versions(),
         "data": dict(problem.hashes),
     }  # fmt: skip
-    return FitResult(problem, solution, draws, tuple(every), found, content)
+    return FitResult(problem, kept, draws, tuple(every), found, content)
 
 
-def _draws(solution: Solution, rows: Any, values: FloatArray, of_tests: FloatArray) -> Draws:
-    """Return the draws that are kept, some rows of ``theta``: values of the material and tests."""
-    problem, theta, units = solution.problem, solution.theta[rows], units_of(solution.problem)
-    keys, tests, scatterings = problem.keys, problem.experiments, solution.posterior.scatterings
-    shares = solution.posterior.shares(theta).T
-    return Draws(
-        keys, tuple(units[key] for key in keys), np.array([p.log for p in problem.parameters]),
-        np.array([p.bounds for p in problem.parameters], dtype=float), values,
-        {keys[s.key]: of_tests[..., s.key] for s in scatterings},
-        {(keys[s.key], name): size(theta) for s in scatterings for name, size in s.levels.items()},
-        {
-            key: np.full(len(theta), noise.size or share**2 * depth)
-            for (key, noise), share, depth in zip(
-                problem.settings.process.items(), shares, solution.depths, strict=True
-            )
-        },
-        tuple(test.name for test in tests), tuple(test.groups[0] for test in tests),
-        law_names(tests[0].case), np.array([conditions_of(test.case, keys) for test in tests]),
-    )  # fmt: skip
-
-
-def _write_series(group: h5py.Group, one: FittedSeries, bodies: Sequence[str]) -> None:
-    """Write data, model, band and residuals of a series; ``bodies`` are those of random wear."""
-    series, drawn, factor = one.series, one.drawn, one.series.factor
-    group.attrs.update(
-        experiment=one.test, series=series.name, quantity=series.quantity,
-        file=series.file, data_unit=series.unit, contact=drawn.edges,
-    )  # fmt: skip
-    base, at = BASE[series.kind], ("r", "mm") if series.profile else ("time", "s")
-    columns = [
-        (at[0], series.x, at[1], "where or when it was read"),
-        ("residual", drawn.residuals, "1", "data less model over its noise, white"),
-        *((name, factor * getattr(drawn, name), base, of) for name, of in _WRITTEN.items()),
-    ]
-    for body, excess, sd in zip(bodies, one.excess.T, one.excess_sd.T, strict=True):
-        meaning = "mean depth worn beyond that of the law, by the readings"
-        columns.append((f"excess_{body}", excess, "mm", meaning))
-        columns.append((f"excess_{body}_sd", sd, "mm", f"sd of excess_{body}"))
-    if drawn.censored.any():
-        meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
-        columns.append(("censored", drawn.censored.astype(float), "1", meaning))
-    write_columns(group, {"reading": series.n}, columns)
-
-
-def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) -> dict[str, Any]:
-    """Return what tells how well the model fits, by draws (s, tests, m) of unknowns.
+def _goodness(solution: Solution, every: Sequence[FittedSeries]) -> dict[str, Any]:
+    """Return what tells how well the model fits, by the draws of a solution.
 
     ``chi2`` is the sum of squares at the mode, with those of priors, of all readings but mere
     limits, over the noise and random wear; its freedom is the readings less nuisances without
@@ -287,22 +224,19 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     mean over the draws (Johnson, Ann. Stat. 32 (2004) 2361-2384) for readings whose noise is given;
     None where all is fitted, or has long tails.
     """
-    posterior, best = solution.posterior, solution.best[None]
-    student = solution.problem.settings.loss == "student"
-    points = np.concatenate([posterior.of_tests(best), x])
-    parts: list[tuple[FloatArray, float, bool]] = []
+    posterior, student = solution.posterior, solution.problem.settings.loss == "student"
+    points = posterior.of_tests(np.vstack([solution.best, solution.theta]))
+    rows, of_parts, given = list[FloatArray](), list[float](), list[bool]()
     for i, emulated in enumerate(posterior.likelihoods):
         likelihood, series = emulated.likelihood, emulated.likelihood.test.series
-        each = likelihood.least_squares(emulated.emulator(points[:, i]))
-        for row, part, noise in zip(each, likelihood.parts, likelihood.noises, strict=True):
-            given = not any(series[number].sd_fitted for number in part)
-            parts.append((row, noise.freedom, given))
-    squares, freedom, known = map(np.array, zip(*parts, strict=True))
-    total, p_value, free = squares.sum(axis=0), None, float(freedom[known].sum())
+        rows += [*likelihood.least_squares(emulated.emulator(points[:, i]))]
+        of_parts += [noise.freedom for noise in likelihood.noises]
+        given += [not any(series[n].sd_fitted for n in part) for part in likelihood.parts]
+    squares, freedom = np.array(rows), np.array(of_parts)
+    at_mode, *total = squares.sum(axis=0).tolist()
+    raised, free, p_value = max(float(np.mean(total)) - at_mode, 0.0), freedom[given].sum(), None
     if not student and free >= 1.0:
-        p_value = float(chi2.sf(squares[known, 1:].sum(axis=0), free).mean())
-    raised = max(float(total[1:].mean() - total[0]), 0.0)
-    at_mode = float(total[0])
+        p_value = float(chi2.sf(squares[given, 1:].sum(axis=0), free).mean())
     if student:  # the sd of outliers is larger in the others
         at_mode = sum(float(np.square(one.misfits).sum()) for one in every)
     return {
@@ -313,7 +247,7 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
 
 
 def _numbers_of_tests(
-    tests: Sequence[Experiment], every: Sequence[FittedSeries], scales: Sequence[FloatArray]
+    problem: Problem, every: Sequence[FittedSeries], factors: Sequence[Mapping[str, FloatArray]]
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the numbers of series, their nuisances and measured inputs, by test.
 
@@ -334,18 +268,17 @@ def _numbers_of_tests(
             found["thermal"]["time"] = found.pop(GROWTH_TIME)
         if found:
             nuisance.setdefault(one.test, {})[series.name] = found
-    left = iter(scales)
-    for test, measured in [(one, measured) for one in tests for measured in one.inputs]:
-        curve, readings = measured.curve(test.case), measured.readings(test.case)
-        off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
-        entry = {
-            "time": list(curve.x), "value": list(curve.y), "unit": unit_of(measured.key) or "1",
-            "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
-        }  # fmt: skip
-        if measured.scale is not None:
-            mean, sd = measured.scale
-            entry["scale"] = _mean_and_sd(mean + sd * next(left))
-        inputs.setdefault(test.name, {})[measured.key] = entry
+    for test, of_test in zip(problem.experiments, factors, strict=True):
+        for measured in test.inputs:
+            curve, readings = measured.curve(test.case), measured.readings(test.case)
+            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
+            entry = {
+                "time": list(curve.x), "value": list(curve.y), "unit": unit_of(measured.key) or "1",
+                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
+            }  # fmt: skip
+            if measured.key in of_test:
+                entry["scale"] = _mean_and_sd(of_test[measured.key])
+            inputs.setdefault(test.name, {})[measured.key] = entry
     return {"experiments": experiments, "nuisance": nuisance, "inputs": inputs}
 
 

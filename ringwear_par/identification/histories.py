@@ -138,7 +138,7 @@ class Readings:
         """
         problem, same_as = self.problem, self.same_as
         blocks = [
-            [(same_as[test], tuple(problem.values(x).tolist())) for x in points]
+            [(same_as[test], tuple(values)) for values in problem.values(points).tolist()]
             for test, points in wanted
         ]
         # equal bodies together, whose operator is then assembled once

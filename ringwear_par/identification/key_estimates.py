@@ -14,14 +14,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
-from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
-from ringwear_par.identification.definition.problem import (
-    GROUPS,
-    FittedParameter,
-    Problem,
-    reflected,
-)
+from ringwear_par.identification.definition.fitted_parameters import RANDOM, unit_scale, units_of
+from ringwear_par.identification.definition.problem import GROUPS, FittedParameter, Problem
 from ringwear_par.identification.posterior import Scattering
 from ringwear_par.identification.solution import Solution
 
@@ -45,8 +39,8 @@ _MENTIONED = 0.15
 _TOGETHER = 0.9
 #: mm3/(N m) in 1/MPa
 _RATE, _FRICTION = factor(SPECIFIC, None), "contact.friction"
-#: numbers of a key's entry: of a running test the interval before too
-_NUMBERS = ("estimate", "sd", "interval", "next", "before")
+#: intervals of a key's entry: of a running test the one before too
+_INTERVALS = ("interval", "next", "before")
 
 
 def judged(
@@ -80,14 +74,12 @@ def prior_sd(parameter: FittedParameter) -> float:
     if prior is None:
         return flat
     middle = min(max(prior.mean, parameter.bounds[0]), parameter.bounds[1])
-    return min(flat, prior.sd / parameter.slope(middle))
+    return min(flat, prior.sd / (middle if parameter.log else 1.0))
 
 
 def key_entries(
     solution: Solution,
     material: FloatArray,
-    values: FloatArray,
-    of_tests: FloatArray,
     information: FloatArray,
     correlations: Mapping[str, FloatArray],
 ) -> dict[str, dict[str, Any]]:
@@ -96,61 +88,52 @@ def key_entries(
     Parameters
     ----------
     material : (s, m) unknowns, a draw for each of the solution's.
-    values : (s, m) of them.
-    of_tests : (s, tests, m) values of the tests.
     information : (tests, m) on the unknowns by each test's own readings, given the others.
     correlations : (m,) of the unknowns with nuisances, by their names.
     """
     problem, case = solution.problem, solution.problem.experiments[0].case
     level, units, entries = problem.settings.level, units_of(problem), {}
-    scatterings = {s.key: s for s in solution.posterior.scatterings}
+    values, covariance = problem.values(material), np.atleast_2d(np.cov(material.T))
     for j, parameter in enumerate(problem.parameters):
         low, high = map(parameter.unknown, parameter.bounds)
         verdict, ends = judged(material[:, j], low, high, prior_sd(parameter), level)
         entry = entries[parameter.key] = {
             "estimate": float(np.median(values[:, j])),
             "sd": float(values[:, j].std()),
-            "interval": [None if end is None else parameter.value(end) for end in ends],
+            "interval": [None if end is None else float(parameter.value(end)) for end in ends],
             "verdict": verdict,
             "bounds": list(parameter.bounds),
             "of": "specimens",
             "unit": units[parameter.key],
         }
         if verdict == "not identified":
-            blamed = {name: float(of[j]) for name, of in correlations.items()}
-            entry["direction"] = direction(problem, np.atleast_2d(np.cov(material.T)), j, blamed)
-        if j in scatterings:
-            s, tests = scatterings[j], of_tests[..., j]
-            own = float(np.median(np.maximum(information[:, j], 1e-300) ** -0.5))
-            entry.update(_scatter(solution, s, parameter, material[:, j], tests, own))
+            entry["direction"] = direction(problem, covariance, j, correlations)
+    for s in solution.posterior.scatterings:
+        more = _scatter(solution, s, material[:, s.key], information[:, s.key])
+        entries[problem.keys[s.key]] |= more
     tied = np.abs(np.atleast_2d(np.corrcoef(material.T))) > _CONDITIONAL
+    at_bound = {key for key, entry in entries.items() if entry["verdict"] == "at bound"}
     for row, parameter in zip(tied, problem.parameters, strict=True):
         entry = entries[parameter.key]
-        others = [key for key, known_by in zip(problem.keys, row, strict=True) if known_by]
-        bounded = [key for key in others if entries[key]["verdict"] == "at bound"]
+        bounded = [key for key, of in zip(problem.keys, row, strict=True) if of and key in at_bound]
         if entry["verdict"] == "identified" and bounded:
             entry["conditional_on"] = bounded
         if told := in_users_unit(parameter, entry, case):
             entry["told"] = told
-        if rate := specific_wear_rate(problem, parameter.key, entries, values):
+        if rate := specific_wear_rate(problem, parameter.key, entry, values):
             entry["specific_wear_rate"] = rate
     return entries
 
 
 def _scatter(
-    solution: Solution,
-    s: Scattering,
-    parameter: FittedParameter,
-    material: FloatArray,
-    tests: FloatArray,
-    own: float,
+    solution: Solution, s: Scattering, material: FloatArray, information: FloatArray
 ) -> dict[str, Any]:
     """Return what fit.json tells of a key that scatters.
 
-    By the unknown of the material (s,), values of the tests (s, tests), and the sd of the unknown
-    that a test's own readings leave.
+    By the unknown (s,) of the material, and what the own readings of each test tell (tests,).
     """
-    theta, level, spread = solution.theta, solution.problem.settings.level, s.spread(solution.theta)
+    problem, theta, spread = solution.problem, solution.theta, s.spread(solution.theta)
+    parameter, level = problem.parameters[s.key], problem.settings.level
     scatter: dict[str, dict[str, Any]] = {}
     for (name, size), same in zip(s.levels.items(), s.same, strict=True):
         scatter[name] = {"known": size.known}
@@ -159,12 +142,11 @@ def _scatter(
             scatter[name] = {**_quantiles(size(theta), level), "verdict": verdict}
         scatter[name]["groups"] = len(np.unique(same, axis=0))
     following = material + spread * np.random.default_rng(0).standard_normal(len(theta))
-    following = reflected(following, *map(np.array, s.bounds))
-    if parameter.log:
-        following = np.exp(following)
-    entry = {"of": "material", "scatter": scatter, "next": _quantiles(following, level)["interval"]}
+    ends = _quantiles(parameter.reflected_value(following), level)["interval"]
+    entry = {"of": "material", "scatter": scatter, "next": ends}
     if parameter.log:
         entry["mean"] = float(np.median(np.exp(material + 0.5 * spread**2)))
+    x = theta[:, s.places][:, s.group]
     total, place = float(np.median(spread)), min(map(GROUPS.index, s.levels))
     if "specimen" in s.levels:
         s_r = float(np.median(s.levels["specimen"](theta)))
@@ -173,9 +155,10 @@ def _scatter(
         entry["reproducibility"] = {"s_R": total, "R": 2.8 * total}
     entry["each"] = {
         test.groups[place]: {**_quantiles(of, level), "sd": float(of.std())}
-        for test, of in zip(solution.problem.experiments, tests.T, strict=True)
+        for test, of in zip(problem.experiments, parameter.value(x).T, strict=True)
     }
     # the smallest number whose interval is narrow enough, by Student's t
+    own = float(np.median(np.maximum(information, 1e-300) ** -0.5))
     wanted = _WANTED * (1.0 if parameter.log else abs(float(np.median(material))))
     n = np.arange(2, _MOST_SPECIMENS)
     enough = student_t.ppf(0.5 + 0.5 * level, n - 1) / np.sqrt(n) * math.hypot(total, own) <= wanted
@@ -194,38 +177,37 @@ def process_entries(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return what fit.json tells of each body whose wear is random."""
     problem, level, entries = solution.problem, solution.problem.settings.level, {}
     shares = solution.posterior.shares(solution.theta)
-    records = [s for test in problem.experiments for s in test.series if not s.profile]
-    most = max((record.n for record in records), default=0)
+    records = (s.n for test in problem.experiments for s in test.series if not s.profile)
+    most = max(records, default=0)
+    low, high = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)  # of the prior
     for (key, process), share, depth in zip(
         problem.settings.process.items(), shares.T, solution.depths.tolist(), strict=True
     ):
-        between = depth / (most - 1) if most > _SEVERAL else None
-        entries[key] = {"depth": depth, "verdict": "identified", "between_readings": between}
-        if not process.fitted:
-            known = float(share[0])
-            size = process.size or known**2 * depth
-            entries[key] |= {"size": {"known": size}, "share": {"known": known}}
-            continue
-        size, found = _quantiles(share**2 * depth, level), _quantiles(share, level)
-        low, high = found["interval"]
-        before = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], 4)
-        if math.log(high / low) >= VAGUE * math.log(before[1] / before[0]):
-            entries[key]["verdict"] = "not identified"
-        if between is not None and size["estimate"] > between:  # not normal
-            size["interval"] = found["interval"] = [None, None]
-        entries[key] |= {"size": size, "share": found}
+        between, verdict = depth / (most - 1) if most > _SEVERAL else None, "identified"
+        found: dict[str, Any] = {"known": float(share[0])}
+        size: dict[str, Any] = {"known": process.size or float(share[0]) ** 2 * depth}
+        if process.fitted:
+            size, found = _quantiles(share**2 * depth, level), _quantiles(share, level)
+            if np.ptp(np.log(found["interval"])) >= VAGUE * math.log(high / low):
+                verdict = "not identified"
+            if between is not None and size["estimate"] > between:  # not normal
+                size["interval"] = found["interval"] = [None, None]
+        entries[key] = {
+            "size": size, "share": found, "depth": depth, "verdict": verdict,
+            "between_readings": between,
+        }  # fmt: skip
     return entries
 
 
 def direction(
-    problem: Problem, covariance: FloatArray, j: int, nuisances: dict[str, float] | None = None
+    problem: Problem, covariance: FloatArray, j: int, correlations: Mapping[str, FloatArray]
 ) -> str:
     """Return in words what the readings determine instead of a key.
 
     Parameters
     ----------
     covariance : (m, m) of the unknowns.
-    nuisances : their correlation with the key, by name.
+    correlations : (m,) with nuisances, by their names.
     """
     parameters = problem.parameters
     size = np.array([prior_sd(p) for p in parameters])
@@ -239,9 +221,9 @@ def direction(
         power = -one / two
         exponent = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.2g}"
         return f"only {first} {'x' if power > 0 else '/'} {second}{exponent} is known"
-    if nuisances:
-        name = max(nuisances, key=lambda name: abs(nuisances[name]))
-        others += [name] * (abs(nuisances[name]) > _TOGETHER)
+    if correlations:
+        together, name = max((abs(float(of[j])), name) for name, of in correlations.items())
+        others += [name] * (together > _TOGETHER)
     if not others:
         return f"the readings hardly respond to {parameters[j].key}"
     return f"{parameters[j].key} against {' and '.join(others)}"
@@ -252,13 +234,12 @@ def direction(
 
 def _scaled(entry: Entry, scale: float) -> dict[str, Any]:
     """Return numbers of a key's entry in fit.json in another unit, which is ``scale``."""
-
-    def converted(number: Any) -> Any:
-        if isinstance(number, list | tuple):
-            return [converted(entry) for entry in number]
-        return None if number is None else number / scale
-
-    return {name: converted(entry[name]) for name in _NUMBERS if name in entry}
+    numbers = {name: entry[name] / scale for name in ("estimate", "sd") if name in entry}
+    return numbers | {
+        name: [None if end is None else end / scale for end in entry[name]]
+        for name in _INTERVALS
+        if name in entry
+    }
 
 
 def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
@@ -276,35 +257,32 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
 
 
 def specific_wear_rate(
-    problem: Problem, key: str, entries: Mapping[str, Entry], values: FloatArray
+    problem: Problem, key: str, entry: Entry, values: FloatArray
 ) -> dict[str, Any] | None:
     """Return the specific wear rate of a fitted wear coefficient; None where there is no one.
 
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
     The values (s, m) are draws of the keys.
     """
-    body = key.removeprefix("wear.").removesuffix(".k")
-    if body not in BODIES or f"wear.{body}.p0" in entries:
+    table, _, name = key.rpartition(".")
+    if table not in RANDOM or name != "k" or f"{table}.p0" in problem.keys:
         return None
-    (share, *others) = {_share(test.case, body) for test in problem.experiments}
-    if share is None or others:
+    (mu, *others) = {_mu(test.case, table) for test in problem.experiments}
+    if mu is None or others:
         return None
-    rate = {"unit": SPECIFIC, **_scaled(entries[key], _RATE / share)}
-    if share != 1.0:
-        rate["mu"] = share
-    if share != 1.0 and _FRICTION in entries:
-        rate["mu"] = float(entries[_FRICTION]["estimate"])
-        k, mu = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
-        rates = k * mu / _RATE
-        rate |= {**_quantiles(rates, problem.settings.level), "sd": float(rates.std())}
-    rate[CUSTOMARY] = rate["estimate"] * _RATE / factor(CUSTOMARY, None)
-    return rate
+    numbers = _scaled(entry, _RATE / mu)
+    if mu != 1.0 and _FRICTION in problem.keys:
+        k, friction = (values[:, problem.keys.index(name)] for name in (key, _FRICTION))
+        mu, rates = float(np.median(friction)), k * friction / _RATE
+        numbers = {**_quantiles(rates, problem.settings.level), "sd": float(rates.std())}
+    customary = numbers["estimate"] * _RATE / factor(CUSTOMARY, None)
+    rate = {"unit": SPECIFIC, **numbers, CUSTOMARY: customary}
+    return rate if mu == 1.0 else {**rate, "mu": mu}
 
 
-def _share(case: Case, body: str) -> float | None:
+def _mu(case: Case, table: str) -> float | None:
     """Return the specific wear rate over k in a case, mu or 1; None where k is no such number."""
-    law, mu = case.laws_by_table.get(f"wear.{body}"), case.friction
-    if law is None or not isinstance(mu, float) or not isinstance(law.values.get("k"), float):
+    law, mu = case.laws_by_table.get(table), case.friction
+    if law is None or not isinstance(mu, float) or not (ratio := law.ratio(mu)):
         return None
-    ratio = law.ratio(mu)
-    return round(float(ratio * mu / law.values["k"]), 12) if ratio else None
+    return round(float(ratio * mu / law.values["k"]), 12)

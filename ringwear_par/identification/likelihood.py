@@ -15,7 +15,7 @@ from numpy.polynomial.chebyshev import chebvander
 from scipy.special import log_ndtr, logsumexp
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import Experiment, Loss, records
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Loss, records
 from ringwear_par.identification.emulator import Emulator
 from ringwear_par.identification.noise import (
     Noise,
@@ -103,23 +103,23 @@ class TestLikelihood:
 
     def nuisance_draws(
         self, readings: FloatArray, random: np.random.Generator | None = None
-    ) -> tuple[FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
+    ) -> tuple[FloatArray, dict[tuple[int, str], FloatArray]]:
         """Return nuisances by readings (P, n) of the model: a draw each, or else the best.
 
-        What they add to the readings (P, n); values (P,) by the series' number and kind, those of
-        the calibrations of inputs, in their sd, by -1 and their number; and growth times (P,) s.
+        What they add to the readings (P, n); and values (P,) by the series' number and kind, growth
+        times (s) too, those of the calibrations of inputs, in their sd, by -1 and their number.
         """
         added = np.zeros_like(readings)
         values: dict[tuple[int, str], FloatArray] = {}
-        times: dict[int, FloatArray] = {}
         for noise, logs in zip(self.noises, self.by_node(readings), strict=True):
             nodes = logs.argmax(axis=0) if random is None else drawn_nodes(logs, random)
             rows, owners = self._rows(noise, readings), noise.nuisances.owners
             explained, of_part = noise.explained(rows, nodes, random)
             added[:, noise.rows] = explained.T
             values.update(zip(owners, of_part, strict=True))
-            times |= {i: noise.nuisances.times[nodes] for i, kind in owners if kind == "thermal"}
-        return added, values, times
+            times = noise.nuisances.times[nodes]
+            values |= {(i, GROWTH_TIME): times for i, kind in owners if kind == "thermal"}
+        return added, values
 
     def adapted(self, readings: FloatArray, loss: Loss) -> Setting:
         """Return the setting about readings (n,) of the model: sd and nuisances.

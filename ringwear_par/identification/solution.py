@@ -275,7 +275,7 @@ class _Search:
         draws, logs = self._drawn.draws[:count], self._drawn.logs[:count]
         x, good = self._posterior.of_tests(draws), np.ones(count, dtype=bool)
         for i, test in enumerate(problem.experiments):
-            found = cases_at(test.case, problem.keys, np.array([*map(problem.values, x[:, i])]))
+            found = cases_at(test.case, problem.keys, problem.values(x[:, i]))
             good &= [isinstance(case, Case) for case in found]
         effective = min(self._drawn.effective, float(good.sum()))
         self._drawn = self._drawn._replace(draws=draws[good], logs=logs[good], effective=effective)

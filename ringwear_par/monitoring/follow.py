@@ -170,7 +170,7 @@ def answer_of(
     specimen, end, now = specimens[-1], test.case.time.end, float(test.times.max())
     # (keys, 3) before the test, and at the end of each window
     trace = [
-        np.quantile(follower.draws.values(x[:, : follower.m]), tails(level), axis=0).T.tolist()
+        np.quantile(problem.values(x[:, : follower.m]), tails(level), axis=0).T.tolist()
         for x in (follower.before, *(specimen.unknowns for specimen in specimens))
     ]
     keys = {}

@@ -118,7 +118,8 @@ class Follower:
         self.time = plan.series[0].x
         self.places = {series.name: part for series, part in records(plan.series)}
         readings.problem = replace(problem, experiments=(plan,))
-        x, sizes = draws.unknowns(self.of, count, np.random.default_rng(seed))
+        values, sizes = draws.values(self.of, count, np.random.default_rng(seed))
+        x = problem.unknowns(values)
         self.m = x.shape[1]
         #: of the readings of the plan; how these follow random wear and calibrations of inputs
         self.emulator, self._setting = _emulated(readings, x)

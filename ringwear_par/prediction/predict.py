@@ -95,8 +95,7 @@ def predict(
         return known, whole
 
     known, whole = on_first_rank(comm, read)
-    unknowns, sizes = known.unknowns(of, draws, np.random.default_rng(seed))
-    values = known.values(unknowns)
+    values, sizes = known.values(of, draws, np.random.default_rng(seed))
     found = _histories(whole, known, values, sizes, seed, comm)
     errors = [one.error for one in found if isinstance(one, FailedResult)]
     if len(errors) > _MOST_FAILED * draws:

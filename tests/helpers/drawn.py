@@ -3,7 +3,14 @@
 from types import SimpleNamespace
 
 import numpy as np
-from parts import Draws, conditions_of, law_names, write_draws
+from parts import (
+    Draws,
+    FittedParameter,
+    atomic_hdf5,
+    conditions_of,
+    law_names,
+    write_draws,
+)
 from scipy.stats import norm
 
 K, P0 = "wear.lower.k", "wear.lower.p0"
@@ -21,12 +28,12 @@ def draws_of(case, count=200, k=1e-7, p0=None, tau=0.0, size=0.0):
     material = k * np.exp(SD * norm.ppf((np.arange(count) + 0.5) / count)[:, None])
     tests = np.column_stack([material, np.full(count, 1.5 * k)])
     material = material if p0 is None else np.column_stack([material, p0])
+    parameters = [FittedParameter(key, 1.0, BOUNDS[key], log=key == K) for key in keys]
     return Draws(
-        keys, ("1/MPa", "MPa")[: len(keys)], np.array([True, False])[: len(keys)],
-        np.array([BOUNDS[key] for key in keys]), material, {K: tests},
+        parameters, ["1/MPa", "MPa"][: len(keys)], ["S1", "S2"], ["S1", "S2"], law_names(case),
+        [conditions_of(case, keys)] * 2, material, {K: tests},
         {(K, "specimen"): np.full(count, tau)} if tau else {},
-        {"wear.lower": np.full(count, size)} if size else {}, ("S1", "S2"), ("S1", "S2"),
-        law_names(case), np.tile(conditions_of(case, keys), (2, 1)),
+        {"wear.lower": np.full(count, size)} if size else {},
     )  # fmt: skip
 
 
@@ -39,5 +46,7 @@ def save_fit(folder, fit):
     """Write what rooms read of the folder of a fit."""
     folder.mkdir()
     (folder / "fit.json").write_text("{}")
-    write_draws(folder / "draws.nc", fit.draws, {}, {}, {})
+    with atomic_hdf5(folder / "draws.nc") as file:
+        file.attrs["software"] = "ringwear-par"
+        write_draws(file.create_group("posterior"), fit.draws)
     return folder

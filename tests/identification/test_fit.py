@@ -252,7 +252,9 @@ def test_a_specimen_whose_wear_is_random(specimens, comm):
     assert process["size"]["estimate"] == pytest.approx(share**2 * process["depth"])
     assert k["interval"][0] < 0.85 * TRUTH[K] < k["interval"][1]
     assert k["sd"] / k["estimate"] > 0.5 * share
-    ahead = found.series[-1].excess[-1, 0] / process["depth"]  # of the law, as far as readings tell
+    ahead = (
+        found.series[-1].columns["excess_lower"][0][-1] / process["depth"]
+    )  # of the law, as far as readings tell
     assert abs(ahead) < 3.0 * share
 
 

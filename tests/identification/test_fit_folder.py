@@ -85,8 +85,7 @@ def test_tables_for_spreadsheets(folder, tmp_path):
 
 def test_replicas_are_about_as_far_off_as_the_readings(found):
     """And log p of the readings is about that of their residuals, and of bands that widen them."""
-    emulated, x = found.solution.posterior.likelihoods[0], found.draws.of_test(0)
-    logs, replicas = readings_of_draws(emulated, x, np.random.default_rng(0))
+    logs, replicas = readings_of_draws(found.solution, 0, np.random.default_rng(0))
     of_test = [one for one in found.series if one.test == "test 1"]
     model, sd, band = (
         np.concatenate([one.series.factor * getattr(one.drawn, name) for one in of_test])

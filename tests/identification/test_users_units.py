@@ -33,8 +33,7 @@ def test_keys_are_stored_in_the_users_unit(good):
     assert bar["interval"] == [None, pytest.approx(220.0)]
     assert "per" not in bar
     # there is a threshold
-    entries = {K: ENTRY, P0: {**ENTRY, "estimate": 25.0}}
-    assert specific_wear_rate(problem, K, entries, np.zeros((2, 2))) is None
+    assert specific_wear_rate(problem, K, ENTRY, np.zeros((2, 2))) is None
 
 
 def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(good):
@@ -46,7 +45,7 @@ def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(good):
     k = np.exp(np.log(1.3e-7) + 0.1 * DRAWS)
     entry = {**ENTRY, "estimate": np.median(k), "sd": k.std(),
              "interval": np.quantile(k, [0.025, 0.975]).tolist()}  # fmt: skip
-    rate = specific_wear_rate(problem, K, {K: entry}, k[:, None])
+    rate = specific_wear_rate(problem, K, entry, k[:, None])
     assert (rate["unit"], rate["mu"]) == ("mm3/(N m)", 0.1)
     for name in ("estimate", "sd", "interval"):
         assert rate[name] == pytest.approx(100.0 * np.array(entry[name]), rel=0.01)
@@ -55,8 +54,7 @@ def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(good):
     friction = replace(problem.parameters[0], key="contact.friction")
     problem = replace(problem, parameters=(problem.parameters[0], friction))
     mu = 0.2 * np.exp(-0.08 * DRAWS)
-    entries = {K: entry, "contact.friction": {"estimate": 0.2}}
-    rate = specific_wear_rate(problem, K, entries, np.column_stack([k, mu]))
+    rate = specific_wear_rate(problem, K, entry, np.column_stack([k, mu]))
     assert rate["estimate"] == pytest.approx(1e3 * 1.3e-7 * 0.2, rel=0.01)
     assert np.log(rate["interval"][1] / rate["estimate"]) == pytest.approx(1.96 * 0.02, rel=0.05)
 

@@ -160,6 +160,20 @@ def test_the_posterior_of_a_running_test(folder):
     assert 'http-equiv="refresh"' in (folder / "out" / "follow.html").read_text()
 
 
+def test_a_scale_that_is_not_that_of_the_fit(folder):
+    """The fit's draws are of log k; the file of the running test has k itself."""
+    path, found = running(folder), []
+    text = path.read_text()
+    assert '"log"' in text
+    for scale in ("log", "linear"):
+        (folder / "scale.toml").write_text(text.replace('"log"', f'"{scale}"'))
+        problem = problem_of(folder / "scale.toml")
+        follower = follower_of(problem, fit_draws(folder / "fit"), 4000)
+        specimen = follower.update(problem.experiments[0])
+        found.append(np.quantile(problem.values(specimen.unknowns[:, :1]), QUANTILES))
+    check(found[1], found[0])
+
+
 def test_a_sensor_that_leaves_few_draws(folder):
     """Its draws are made anew, about those that are left."""
     record(folder / "fine.csv", *clean(2, sd=1e-6))

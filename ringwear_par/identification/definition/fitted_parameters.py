@@ -35,7 +35,7 @@ from ringwear_par.studies.variations import split_key, unnested
 #: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
 _LARGEST = 3.0
 #: tables of wear that may be random
-_RANDOM = tuple(f"wear.{body}" for body in BODIES)
+RANDOM = tuple(f"wear.{body}" for body in BODIES)
 #: entries of layers that may be fitted, beside numbers of their laws
 _ELASTIC = ("thickness", "young", "poisson")
 
@@ -137,8 +137,8 @@ def read_process(fit: TableReader) -> dict[str, ProcessNoise]:
         fit.wrong("process", "must be a table of wear.lower, wear.upper")
         return {}
     entries, place = unnested(table, keys_of("fit.process.KEY").keys()), f"{fit.place}.process"
-    name_unknown_keys(place, entries, _RANDOM, fit.faults, table="fit.process")
-    return {key: _read_noise(fit, key, entries[key]) for key in _RANDOM if key in entries}
+    name_unknown_keys(place, entries, RANDOM, fit.faults, table="fit.process")
+    return {key: _read_noise(fit, key, entries[key]) for key in RANDOM if key in entries}
 
 
 def _read_noise(fit: TableReader, key: str, value: object) -> ProcessNoise:

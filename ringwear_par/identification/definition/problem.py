@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -132,21 +132,21 @@ class FittedParameter:
     #: as the user writes it, "" for the case's
     unit: str = ""
 
-    def unknown(self, value: float) -> float:
-        """Return the unknown of a value."""
-        return float(np.log(value)) if self.log else value
+    def unknown(self, value: Any) -> Any:
+        """Return the unknown of a value, or those of an array."""
+        return np.log(value) if self.log else value
 
-    def value(self, unknown: float) -> float:
-        """Return the value of an unknown, within the bounds to the last bit."""
-        low, high = self.bounds
+    def value(self, unknown: Any) -> Any:
+        """Return the value of an unknown, or those of an array, within the bounds to the bit."""
         if self.log:  # an exponential may overflow
-            at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
-            unknown = float(np.exp(at))
-        return min(max(float(unknown), low), high)
+            low, high = map(self.unknown, self.bounds)
+            unknown = np.exp(np.clip(unknown, low - 1.0, high + 1.0))
+        return np.clip(unknown, *self.bounds)
 
-    def slope(self, value: float) -> float:
-        """Return the derivative of the value with respect to the unknown."""
-        return value if self.log else 1.0
+    def reflected_value(self, unknown: FloatArray) -> FloatArray:
+        """Return the values of unknowns, those beyond the bounds reflected to their inside."""
+        values: FloatArray = self.value(reflected(unknown, *map(self.unknown, self.bounds)))
+        return values
 
 
 def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -426,15 +426,17 @@ class Problem:
         return any(parameter.scatter is not None for parameter in self.parameters)
 
     def unknowns(self, values: Sequence[float] | FloatArray) -> FloatArray:
-        """Return the unknowns (m,) of values of the fitted keys."""
-        return np.array([p.unknown(v) for p, v in zip(self.parameters, values, strict=True)])
+        """Return the unknowns (..., m) of values of the fitted keys."""
+        columns = zip(self.parameters, np.moveaxis(np.asarray(values), -1, 0), strict=True)
+        return np.stack([p.unknown(column) for p, column in columns], axis=-1)
 
     def values(self, unknowns: FloatArray) -> FloatArray:
-        """Return the values (m,) of unknowns."""
-        return np.array([p.value(u) for p, u in zip(self.parameters, unknowns, strict=True)])
+        """Return the values (..., m) of unknowns."""
+        columns = zip(self.parameters, np.moveaxis(unknowns, -1, 0), strict=True)
+        return np.stack([p.value(column) for p, column in columns], axis=-1)
 
     @property
     def unknown_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Smallest and largest unknowns, (m,)."""
-        low, high = np.array([[p.unknown(b) for b in p.bounds] for p in self.parameters]).T
+        low, high = self.unknowns(np.array([p.bounds for p in self.parameters]).T)
         return low, high

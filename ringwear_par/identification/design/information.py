@@ -118,9 +118,10 @@ class Before:
 
     def sds(self, information: FloatArray) -> dict[str, float | None]:
         """Return the sd of the value of each key, see ``then``; None: not identified."""
-        every = zip(self.parameters, self.values.tolist(), self.then(information)[1].tolist(),
-                    self.vague.tolist(), strict=True)  # fmt: skip
-        return {p.key: None if sd > most else sd * p.slope(v) for p, v, sd, most in every}
+        _, sd = self.then(information)
+        of_values = sd * np.where([p.log for p in self.parameters], self.values, 1.0)
+        every = zip(self.parameters, of_values.tolist(), sd > self.vague, strict=True)
+        return {p.key: None if is_vague else of_value for p, of_value, is_vague in every}
 
 
 def before_tests(problem: Problem, draws: Draws | None) -> Before:
@@ -135,7 +136,7 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
         vague, covariance = np.where(known, np.inf, VAGUE * sd), np.diag(sd**2)
         material = x + np.random.default_rng(0).standard_normal((_MANY, len(x))) * sd * known
     else:
-        material = np.array([problem.unknowns(row) for row in draws.material])
+        material = problem.unknowns(draws.material)
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
         vague = np.full(len(x), np.inf)
         for j, key in enumerate(problem.keys):
@@ -201,7 +202,7 @@ def in_users_units(problem: Problem, before: Before) -> tuple[list[str], dict[st
         times, of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
         scales[p.key] = {"factor": times, "unit": of_sd}
         if sd:
-            size = f"{times * p.slope(value) * sd:.2g} {of_sd}".rstrip()
+            size = f"{100.0 * sd if p.log else times * sd:.2g} {of_sd}".rstrip()
             about[-1] += f" of the material (specimens differ by {size})"
     return about, scales
 
@@ -237,7 +238,7 @@ def expectation(problem: Problem, comm: MPI.Intracomm) -> str:
             before.sds(told),
         )
         for j, (sd, words) in enumerate(zip(sds.values(), sds_in_words(sds, scales), strict=True)):
-            lines.append(f"  {words}" + f": {direction(problem, covariance, j)}" * (sd is None))
+            lines.append(f"  {words}" + f": {direction(problem, covariance, j, {})}" * (sd is None))
         if problem.alternatives:
             lines.append(f"to be compared: {', '.join(problem.alternatives)}")
         return "\n".join(lines)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn import draws_of
+from drawn import draws_of, fit_of, save_fit
 from laboratory import END, TRUTH, fit_tables, one_test, write_tests
-from parts import StopSignals, toml_text, write_draws
+from parts import StopSignals, toml_text
 
 import ringwear_par as rw
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -127,8 +127,8 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     source = tables(experiments=1)
     case = read_fit(source).experiments[0].case
     draws = draws_of(case, p0=np.linspace(20.0, 30.0, 200), tau=0.2)
-    write_draws(tmp_path / "draws.nc", draws, {}, {}, {})
-    found = rw.design(source, comm, after=tmp_path)
+    folder = save_fit(tmp_path / "fit", fit_of(draws))
+    found = rw.design(source, comm, after=folder)
     k, p0 = draws.material.T
     spread = np.std([np.log(k), p0], axis=1, ddof=1)
     before, after = (
@@ -140,7 +140,7 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     assert (after < before).all()
     source["fit"]["parameters"].pop(P0)
     with pytest.raises(rw.InputError, match=f"must be {K}, {P0}"):
-        rw.design(source, comm, after=tmp_path)
+        rw.design(source, comm, after=folder)
 
 
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
