@@ -1,10 +1,10 @@
 """Keys of the plain numbers of a case that its history depends on smoothly: they may be fitted."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, key_of
+from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.sections import BODIES
 
 
@@ -32,7 +32,7 @@ def smooth_keys(case: Case) -> dict[str, str]:
     units: dict[str, str] = {}
     for table, law in case.laws_by_table.items():
         own = law.quantities.items()
-        units |= {f"{table}.{k}": law.unit(k) for k, q in own if _is_number(q)}
+        units |= {f"{table}.{k}": law.unit(k) for k, q in own if is_number(q)}
     load = case.load
     for key, number in (
         ("contact.friction", case.friction),
@@ -43,10 +43,6 @@ def smooth_keys(case: Case) -> dict[str, str]:
         ("lower.young", case.lower.young),
         ("upper.young", case.upper.young),
     ):
-        if _is_number(number):
+        if is_number(number):
             units[key] = UNITS[key]
     return units | elastic_numbers(case)
-
-
-def _is_number(quantity: Any) -> bool:
-    return isinstance(quantity, float | int) and not isinstance(quantity, bool)

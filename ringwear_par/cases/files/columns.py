@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import factor, in_unit_where_right, named_unit
-from ringwear_par.cases.values import RejectedError, is_number
+from ringwear_par.cases.values import RejectedError, entries, pair
 from ringwear_par.errors import Fault, InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements
 
@@ -95,18 +95,12 @@ def read_texts(reader: TableReader, key: str, roles: Sequence[str]) -> Mapping[s
 
 def read_intervals(reader: TableReader, key: str, unit: str) -> list[tuple[float, float]]:
     """Return increasing pairs in a unit; none, and a fault, where there is something else."""
-    value = in_unit_where_right(reader.raw(key, []), unit)
-    good = isinstance(value, list | tuple) and all(
-        isinstance(entry, list | tuple)
-        and len(entry) == 2
-        and all(is_number(v) and math.isfinite(v) for v in entry)
-        and entry[0] < entry[1]
-        for entry in value
-    )
-    if not good:
+    value, pairs = in_unit_where_right(reader.raw(key, []), unit), pair(-math.inf).read
+    try:
+        return [*entries(value, pairs, 0)]
+    except RejectedError:
         reader.wrong(key, f"must be a list of increasing pairs ({unit})")
         return []
-    return [(float(low), float(high)) for low, high in value]
 
 
 def missing_column(table: Measurements, column: str, role: str) -> str:

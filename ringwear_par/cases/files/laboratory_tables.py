@@ -199,11 +199,10 @@ class _Rows:
                         number,
                         f"{place}: must be that of the first row of {legible(name)}, or empty",
                     )
-            heading, cell = (
-                row[column.place] for row in (self.table.columns, self.table.rows[first])
-            )
-            if cell.lower() in EMPTY and column.role not in TEXTS:
-                self._fault(first, f"{legible(heading)} is empty; must be what the test had")
+            is_empty = self.table.rows[first][column.place].lower() in EMPTY
+            if is_empty and column.role not in TEXTS:
+                heading = legible(self.table.columns[column.place])
+                self._fault(first, f"{heading} is empty; must be what the test had")
             if value is not None:
                 (test if column.role in TEXTS else test["set"])[column.role] = value
         for key, templates in self.templates.items():
