@@ -90,7 +90,7 @@ class StopSignals:
     def __init__(self, at_once: bool = False) -> None:
         #: the first signal received, or 0
         self.received = 0
-        self._at_once, self._time = at_once, 0.0
+        self._at_once, self._time, self._unheard = at_once, 0.0, sys.unraisablehook
         self._old: dict[int, Any] = {}
 
     def __enter__(self) -> Any:
@@ -98,7 +98,7 @@ class StopSignals:
             for number in SIGNALS:
                 if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                     self._old[number] = signal.signal(number, self._receive)
-        self._unheard, sys.unraisablehook = sys.unraisablehook, self._raise_again
+        sys.unraisablehook = self._raise_again
         return self
 
     def __exit__(self, *_: object) -> None:
