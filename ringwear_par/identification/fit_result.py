@@ -293,10 +293,9 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries], x: FloatArray) 
     points = np.concatenate([posterior.of_tests(best), x])
     parts: list[tuple[FloatArray, float, bool]] = []
     for i, emulated in enumerate(posterior.likelihoods):
-        likelihood, series = emulated.likelihood, emulated.likelihood.test.series
-        each = likelihood.least_squares(emulated.emulator(points[:, i]))
-        for row, part, noise in zip(each, likelihood.parts, likelihood.noises, strict=True):
-            given = not any(series[number].sd_fitted for number in part)
+        each = emulated.likelihood.least_squares(emulated.emulator(points[:, i]))
+        for row, noise in zip(each, emulated.likelihood.noises, strict=True):
+            given = not any(series.sd_fitted for series in noise.series)
             parts.append((row, noise.freedom, given))
     squares, freedom, known = map(np.array, zip(*parts, strict=True))
     total, p_value, free = squares.sum(axis=0), None, float(freedom[known].sum())

@@ -6,11 +6,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import (
-    GROWTH_TIME,
-    Series,
-    records,
-)
+from ringwear_par.identification.definition.problem import Series, records
 from ringwear_par.identification.likelihood import EmulatedLikelihood, TestLikelihood
 from ringwear_par.identification.noise import coloured, log_volumes, sides, whitened
 from ringwear_par.pictures import fit_panels
@@ -67,8 +63,8 @@ def fitted_series(
     level : of bands.
     """
     likelihood, test = emulated.likelihood, emulated.likelihood.test
-    model, excess, _, _ = with_all(likelihood, emulated.emulator(best[None]))
-    models, worn, values, times = with_all(likelihood, emulated.emulator(x), random)
+    model, excess, _ = with_all(likelihood, emulated.emulator(best[None]))
+    models, worn, values = with_all(likelihood, emulated.emulator(x), random)
     band, excess, excess_sd = models.std(axis=0), excess[0] * depths, worn.std(axis=0) * depths
     fitted = []
     for number, (series, part) in enumerate(records(test.series)):
@@ -77,8 +73,6 @@ def fitted_series(
         sd = (larger if series.sd_fitted else 1.0) * series.sd
         off, factor = (series.value - model[0, part]) / sd, series.factor
         nuisances = {kind: drawn for (i, kind), drawn in values.items() if i == number}
-        if number in times:
-            nuisances[GROWTH_TIME] = times[number]
         drawn = fit_panels.Series(
             test.name, series.name, series.quantity, series.unit, series.x, series.value / factor,
             model[0, part] / factor, sd / factor, band[part] / factor,
@@ -91,20 +85,20 @@ def fitted_series(
 
 def with_all(
     likelihood: TestLikelihood, readings: FloatArray, random: np.random.Generator | None = None
-) -> tuple[FloatArray, FloatArray, dict[tuple[int, str], FloatArray], dict[int, FloatArray]]:
+) -> tuple[FloatArray, FloatArray, dict[tuple[int, str], FloatArray]]:
     """Return readings (P, n) of the model with nuisances and random wear: draws, or the best ones.
 
-    Also return what is worn by chance (P, n, bodies) over the largest depth, and nuisances and
-    growth times, see ``TestLikelihood.nuisance_draws``.
+    Also return what is worn by chance (P, n, bodies) over the largest depth, and nuisances, see
+    ``TestLikelihood.nuisance_draws``.
     """
-    added, values, times = likelihood.nuisance_draws(readings, random)
+    added, values = likelihood.nuisance_draws(readings, random)
     models, clocks = readings + added, likelihood.setting.clocks
     if not clocks:
-        return models, np.zeros((*models.shape, 0)), values, times
+        return models, np.zeros((*models.shape, 0)), values
     (noise,) = likelihood.noises
     worn = noise.random_wear((likelihood.data - models).T, random).T
     felt = np.stack([slope for slope, _ in clocks], axis=1)
-    return models + (worn * felt).sum(axis=2), worn, values, times
+    return models + (worn * felt).sum(axis=2), worn, values
 
 
 def readings_of_draws(

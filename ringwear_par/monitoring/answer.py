@@ -158,9 +158,7 @@ def surprise(follower: Follower, before: Specimen, after: Specimen) -> float:
     if new == 0 or square <= 0.0:
         return 1.0
     fitted = (
-        max(noise.freedom - follower.m, 1.0)
-        for part, noise in zip(old.parts, old.noises, strict=True)
-        if before.test.series[part[0]].sd_fitted
+        max(noise.freedom - follower.m, 1.0) for noise in old.noises if noise.series[0].sd_fitted
     )
     return float(fdtrc(new, min(fitted, default=_KNOWN), square / new))
 
@@ -194,7 +192,7 @@ def time_to_goal(
         jacobian = follower.weights(part) @ (follower.columns @ slopes)
         for noise in follower.likelihood_like(specimen, part).noises:
             middle = len(noise.nuisances.times) // 2
-            information = information + noise.grams(jacobian[noise.rows], np.zeros(m), middle)
+            information = information + noise.reduced(jacobian[noise.rows], 0.0).grams()[middle]
         sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
     less = np.minimum.accumulate(sds) / sds[0]
     reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))
@@ -223,7 +221,7 @@ def penetrations(follower: Follower, specimen: Specimen) -> FloatArray:
         later = Series("approach", "approach", time, 0.0 * time, np.full(len(time), _UNREAD))
         both = replace(test, series=(*test.series, later))
         likelihood, random = follower.likelihood_like(specimen, both), np.random.default_rng(1)
-        _, worn, _, _ = with_all(likelihood, follower.readings(some, both), random)
+        _, worn, _ = with_all(likelihood, follower.readings(some, both), random)
         depths += worn[:, test.n :] @ follower.most
     return depths
 
