@@ -17,15 +17,7 @@ from scipy.special import log_ndtr, logsumexp
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Experiment, Loss, records
 from ringwear_par.identification.emulator import Emulator
-from ringwear_par.identification.noise import (
-    NU,
-    STUDENT,
-    Noise,
-    Reduced,
-    Setting,
-    sides,
-    whitened,
-)
+from ringwear_par.identification.noise import NU, STUDENT, Noise, Setting, sides, whitened
 
 #: logarithms of the least and the largest share of random wear
 LOG_SHARES = (float(np.log(1e-3)), 0.0)
@@ -65,25 +57,21 @@ class TestLikelihood:
         logs: FloatArray = log_ndtr(self._side[at] * t).sum(axis=-1)
         return logs
 
-    def _rows(self, noise: Noise, readings: FloatArray) -> FloatArray:
-        """Return data less readings (P, n) of the model, as a part has them, (n of the part, P)."""
-        return self.data[noise.rows, None] - readings.T[noise.rows]
-
-    def _reduced(self, readings: FloatArray) -> list[Reduced]:
-        """Return what log p of each part takes from readings (P, n) of the model."""
-        return [noise.reduced(self._rows(noise, readings)) for noise in self.noises]
+    def _parts(self, readings: FloatArray) -> list[tuple[Noise, FloatArray]]:
+        """Return the noise of each part, and its data less readings (P, n) of the model, (n, P)."""
+        return [(of, self.data[of.rows, None] - readings.T[of.rows]) for of in self.noises]
 
     def least_squares(self, readings: FloatArray) -> FloatArray:
         """Return sums of squares (parts, P), those of priors too, at the likeliest growth times."""
+        parts = [noise.reduced(rows) for noise, rows in self._parts(readings)]
         at = np.arange(len(readings))
-        parts = self._reduced(readings)
         return np.array([of.squares()[of.log_p().argmax(axis=0), at] for of in parts])
 
     def __call__(self, readings: FloatArray) -> FloatArray:
         """Return log p (P,) by readings (P, n) of the model."""
         total = self.of_limits(readings[:, self.limits])
-        for of in self._reduced(readings):
-            total = total + logsumexp(of.log_p(), axis=0)
+        for noise, rows in self._parts(readings):
+            total = total + logsumexp(noise.reduced(rows).log_p(), axis=0)
         return total
 
     def nuisance_draws(
@@ -96,8 +84,8 @@ class TestLikelihood:
         """
         added = np.zeros_like(readings)
         values: dict[tuple[int, str], FloatArray] = {}
-        for noise in self.noises:
-            of_part, more = noise.explained(self._rows(noise, readings), random)
+        for noise, rows in self._parts(readings):
+            of_part, more = noise.explained(rows, random)
             added[:, noise.rows] = of_part.T
             values |= more
         return added, values
