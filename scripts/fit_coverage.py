@@ -24,7 +24,7 @@ from ringwear_par.identification.definition import problem as fits
 from ringwear_par.identification.emulator import Box, emulate
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import judged
-from ringwear_par.identification.nuisances import nuisance_columns
+from ringwear_par.identification.nuisances import column
 from ringwear_par.results.progress import StopSignals
 
 Wanted = Sequence[tuple[int, FloatArray]]
@@ -140,14 +140,16 @@ class Laboratory:
             weights = (1.0 / np.maximum(1.0, most / FAR))[np.isfinite(y).all(axis=1)]
             self.emulators[i] = emulate(self.box, x, y, sd, weights, GOOD)[0]
 
-    def __call__(self, wanted: Wanted, steps: int = 0, factors: Any = (1.0,)) -> list[FloatArray]:
+    def __call__(
+        self, wanted: Wanted, experiments: Any = None, steps: int = 0, factors: Any = (1.0,)
+    ) -> list[FloatArray]:
         """Return readings (P, n) of each test at unknowns (P, m), as ``Readings`` does."""
-        blocks = []
+        blocks, tests = [], experiments or self.problem.experiments
         for test, x in wanted:
             beyond = (x < self.box.low - 1e-9) | (x > self.box.high + 1e-9)
             y = self.emulators[self.same_as[test]](x + np.log(factors[0]) * np.eye(x.shape[1])[0])
             y[beyond.any(axis=1)] = np.nan
-            blocks.append(y[:, : self.problem.experiments[test].n])
+            blocks.append(y[:, : tests[test].n])
         return blocks
 
     def simulate(self, x: FloatArray, random: np.random.Generator) -> None:
@@ -164,13 +166,13 @@ class Laboratory:
             read = []
             for s in test.series:
                 values, y = y[: s.n], y[s.n :]
-                for place, nuisance in enumerate(s.linear_nuisances):
+                for nuisance in s.linear_nuisances:
                     warm, (mean, sd) = nuisance is WARM, nuisance.prior or (0.0, FREE)
                     times = np.array([max(random.normal(*TIME), 100.0) if warm else 1.0])
-                    column = nuisance_columns(s, test.case, times)[0, :, place]
+                    added = np.ravel(column(nuisance, s, test.case, times))
                     z = random.standard_normal()
                     size = -2.0 * FREE * np.exp(0.3 * z) if warm else mean + sd * z
-                    values = values + size * column
+                    values = values + size * added
                 read.append(replace(s, value=values + s.sd * random.standard_normal(s.n)))
             tests.append(replace(test, series=tuple(read)))
         self.problem = replace(self.problem, experiments=tuple(tests))

@@ -228,10 +228,10 @@ def _goodness(solution: Solution, every: Sequence[FittedSeries]) -> dict[str, An
     points = posterior.of_tests(np.vstack([solution.best, solution.theta]))
     rows, of_parts, given = list[FloatArray](), list[float](), list[bool]()
     for i, emulated in enumerate(posterior.likelihoods):
-        likelihood, series = emulated.likelihood, emulated.likelihood.test.series
+        likelihood = emulated.likelihood
         rows += [*likelihood.least_squares(emulated.emulator(points[:, i]))]
         of_parts += [noise.freedom for noise in likelihood.noises]
-        given += [not any(series[n].sd_fitted for n in part) for part in likelihood.parts]
+        given += [not any(s.sd_fitted for s in noise.series) for noise in likelihood.noises]
     squares, freedom = np.array(rows), np.array(of_parts)
     at_mode, *total = squares.sum(axis=0).tolist()
     raised, free, p_value = max(float(np.mean(total)) - at_mode, 0.0), freedom[given].sum(), None

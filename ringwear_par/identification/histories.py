@@ -86,11 +86,7 @@ class Readings:
     @property
     def same_as(self) -> list[int]:
         """The first test with the same conditions and readings, for each test: these share."""
-        first: dict[Hashable, int] = {}
-        return [
-            first.setdefault(_conditions(test, number), number)
-            for number, test in enumerate(self.problem.experiments)
-        ]
+        return _same_as(self.problem.experiments)
 
     def lead(self, job: Callable[[], T]) -> T:
         """Return the result of a job of the first rank, whose blocks all ranks compute.
@@ -123,6 +119,7 @@ class Readings:
         self,
         wanted: Sequence[tuple[int, FloatArray]],
         *,
+        experiments: Sequence[Experiment] | None = None,
         steps: int | None = None,
         factors: tuple[float, float] = (1.0, 1.0),
     ) -> list[FloatArray]:
@@ -133,17 +130,19 @@ class Readings:
         Parameters
         ----------
         wanted : number of the test, and unknowns.
+        experiments : instead of those of the problem.
         steps : instead of the usual number.
         factors : on all rates of wear of lower and upper.
         """
-        problem, same_as = self.problem, self.same_as
+        tests = self.problem.experiments if experiments is None else experiments
+        same_as = _same_as(tests)
         blocks = [
-            [(same_as[test], tuple(values)) for values in problem.values(points).tolist()]
+            [(same_as[test], tuple(values)) for values in self.problem.values(points).tolist()]
             for test, points in wanted
         ]
         # equal bodies together, whose operator is then assembled once
         entries = sorted({*itertools.chain(*blocks)}, key=lambda entry: (entry[1], entry[0]))
-        request = _Block(entries, problem.experiments, steps or self.steps, factors)
+        request = _Block(entries, tests, steps or self.steps, factors)
         if self._comm.size > 1:
             self._comm.bcast(request)
         rows = dict(zip(entries, self._shared(request), strict=True))
@@ -152,7 +151,7 @@ class Readings:
         self.reason = self.reason or next(iter(reasons), "")
         found = []
         for (test, _), block in zip(wanted, blocks, strict=True):
-            none = np.full(problem.experiments[test].n, np.nan)
+            none = np.full(tests[test].n, np.nan)
             of_block = [none if isinstance(row := rows[entry], str) else row for entry in block]
             found.append(np.array(of_block).reshape(len(block), len(none)))
         return found
@@ -223,6 +222,13 @@ class Readings:
         rows = [y.reshape(*points.shape[:2], y.shape[1]) for y in blocks]
         slopes = [np.moveaxis((y[:, 1:] - y[:, :1]) / step[..., None], 2, 0) for y in rows]
         return [y[:, 0] for y in rows], slopes
+
+
+def _same_as(tests: Sequence[Experiment]) -> list[int]:
+    first: dict[Hashable, int] = {}
+    return [
+        first.setdefault(_conditions(test, number), number) for number, test in enumerate(tests)
+    ]
 
 
 def _conditions(test: Experiment, number: int) -> Hashable:

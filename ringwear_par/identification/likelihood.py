@@ -7,32 +7,22 @@ fitted is integrated out too (flat in its logarithm).
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 from scipy.special import log_ndtr, logsumexp
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Loss, records
+from ringwear_par.identification.definition.problem import Experiment, Loss, records
 from ringwear_par.identification.emulator import Emulator
-from ringwear_par.identification.noise import (
-    Noise,
-    Setting,
-    drawn_nodes,
-    sides,
-    student_weights,
-    whitened,
-)
+from ringwear_par.identification.noise import NU, STUDENT, Noise, Setting, sides, whitened
 
 #: logarithms of the least and the largest share of random wear
 LOG_SHARES = (float(np.log(1e-3)), 0.0)
 #: nodes of each share by the number of bodies whose share is fitted
 _SHARE_NODES = {0: 1, 1: 24, 2: 20}
-#: growth times whose log likelihood is less than the largest by more count nowhere; points that
-#: tell it
-_COUNTS, _JUDGED = 15.0, 64
 
 
 class TestLikelihood:
@@ -53,20 +43,12 @@ class TestLikelihood:
         self.data = np.concatenate([s.value for s in test.series])
         self._side = sides(test)
         self.limits = np.flatnonzero(self._side)
-        numbers, joint = range(len(test.series)), bool(setting.clocks or setting.scales)
-        apart = [
-            i for i in numbers
-            if not joint and (test.series[i].growth_time or test.series[i].sd_fitted)
-        ]  # fmt: skip
-        rest = [i for i in numbers if i not in apart]
-        #: numbers of the series that are judged together
-        self.parts = [*([rest] if rest else []), *([i] for i in apart)]
-        #: noise of each part
-        self.noises = self.noises_at(shares)
-
-    def noises_at(self, shares: FloatArray) -> list[Noise]:
-        """Return the noise of each part at shares (bodies,) of random wear."""
-        return [Noise(self.test, part, self.setting, shares) for part in self.parts]
+        joint, every = bool(setting.clocks or setting.scales), enumerate(test.series)
+        apart = [i for i, s in every if not joint and (s.growth_time or s.sd_fitted)]
+        rest = [i for i in range(len(test.series)) if i not in apart]
+        parts = [part for part in (rest, *([i] for i in apart)) if part]
+        #: of the series that are judged together
+        self.noises = [Noise(test, part, setting, shares) for part in parts]
 
     def of_limits(self, readings: FloatArray) -> FloatArray:
         """Return log p (...) of the limits, by the model's readings (..., limits) there."""
@@ -75,30 +57,21 @@ class TestLikelihood:
         logs: FloatArray = log_ndtr(self._side[at] * t).sum(axis=-1)
         return logs
 
-    def _rows(self, noise: Noise, readings: FloatArray) -> FloatArray:
-        """Return data less readings (P, n) of the model, as a part has them, (n of the part, P)."""
-        return noise.data(self.data[noise.rows])[:, None] - readings.T[noise.rows]
-
-    def _squares(self, readings: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Yield squares and log p (K, P) of each part at its growth times."""
-        for noise in self.noises:
-            squares = noise.squares(self._rows(noise, readings))
-            yield squares, noise.log_constants[:, None] + noise.density(squares)
-
-    def by_node(self, readings: FloatArray) -> list[FloatArray]:
-        """Return log p (K, P) of each part at its growth times by readings (P, n) of the model."""
-        return [logs for _, logs in self._squares(readings)]
+    def _parts(self, readings: FloatArray) -> list[tuple[Noise, FloatArray]]:
+        """Return the noise of each part, and its data less readings (P, n) of the model, (n, P)."""
+        return [(of, self.data[of.rows, None] - readings.T[of.rows]) for of in self.noises]
 
     def least_squares(self, readings: FloatArray) -> FloatArray:
         """Return sums of squares (parts, P), those of priors too, at the likeliest growth times."""
+        parts = [noise.reduced(rows) for noise, rows in self._parts(readings)]
         at = np.arange(len(readings))
-        return np.array([q[logs.argmax(axis=0), at] for q, logs in self._squares(readings)])
+        return np.array([of.squares()[of.log_p().argmax(axis=0), at] for of in parts])
 
     def __call__(self, readings: FloatArray) -> FloatArray:
         """Return log p (P,) by readings (P, n) of the model."""
         total = self.of_limits(readings[:, self.limits])
-        for logs in self.by_node(readings):
-            total = total + logsumexp(logs, axis=0)
+        for noise, rows in self._parts(readings):
+            total = total + logsumexp(noise.reduced(rows).log_p(), axis=0)
         return total
 
     def nuisance_draws(
@@ -106,19 +79,15 @@ class TestLikelihood:
     ) -> tuple[FloatArray, dict[tuple[int, str], FloatArray]]:
         """Return nuisances by readings (P, n) of the model: a draw each, or else the best.
 
-        What they add to the readings (P, n); and values (P,) by the series' number and kind, growth
-        times (s) too, those of the calibrations of inputs, in their sd, by -1 and their number.
+        What they add to the readings (P, n), and values (P,) by the series' number and kind, growth
+        times (s) too; those of the calibrations of inputs, in their sd, by -1 and their number.
         """
         added = np.zeros_like(readings)
         values: dict[tuple[int, str], FloatArray] = {}
-        for noise, logs in zip(self.noises, self.by_node(readings), strict=True):
-            nodes = logs.argmax(axis=0) if random is None else drawn_nodes(logs, random)
-            rows, owners = self._rows(noise, readings), noise.nuisances.owners
-            explained, of_part = noise.explained(rows, nodes, random)
-            added[:, noise.rows] = explained.T
-            values.update(zip(owners, of_part, strict=True))
-            times = noise.nuisances.times[nodes]
-            values |= {(i, GROWTH_TIME): times for i, kind in owners if kind == "thermal"}
+        for noise, rows in self._parts(readings):
+            of_part, more = noise.explained(rows, random)
+            added[:, noise.rows] = of_part.T
+            values |= more
         return added, values
 
     def adapted(self, readings: FloatArray, loss: Loss) -> Setting:
@@ -133,16 +102,17 @@ class TestLikelihood:
             rows = whole.start + np.flatnonzero(self._side[whole] == 0.0)
             rest = (self.data - readings - expected)[rows] / sd[rows]
             if series.sd_fitted and len(rest) > 2:
-                white = whitened(series, rest) if len(rest) == series.n else rest
+                white = whitened(series, rest)
                 # differences of neighbours hardly feel random wear
-                squares = 0.5 * np.diff(white) ** 2 if self.setting.clocks else white**2
-                scale = max(float(np.sqrt(np.mean(squares))), 1e-9)
+                variances = 0.5 * np.diff(white) ** 2 if self.setting.clocks else white**2
+                scale = max(float(np.sqrt(np.mean(variances))), 1e-9)
                 sd[whole], rest = sd[whole] * scale, rest / scale
             if loss == "student":
                 if self.setting.clocks and len(rest) > 2:  # random wear is no outlier
                     rest[1:-1] -= 0.5 * (rest[:-2] + rest[2:])
                     rest[1:-1] /= np.sqrt(1.5)
-                sd[rows] /= np.sqrt(student_weights(rest))
+                # as in the steps of least squares, over their Fisher information
+                sd[rows] *= np.sqrt((NU + rest**2) / (NU + 1.0) / STUDENT)
         return replace(self.setting, sd=sd, expected=expected)
 
 
@@ -157,71 +127,41 @@ class EmulatedLikelihood:
     """
 
     def __init__(
-        self,
-        likelihood: TestLikelihood,
-        emulator: Emulator,
-        fitted: Sequence[int] | None = None,
+        self, likelihood: TestLikelihood, emulator: Emulator, fitted: Sequence[int] | None = None
     ) -> None:
         self.likelihood, self.emulator = likelihood, emulator
         bodies = range(len(likelihood.setting.clocks))
         self._fitted = [i for i in bodies if fitted is None or i in fitted]
-        self._count = _SHARE_NODES[len(self._fitted)]
-        at, (low, high) = np.cos(np.pi * (np.arange(self._count) + 0.5) / self._count), LOG_SHARES
-        weights = np.ones((1, 1))
-        for _ in self._fitted:
-            weights = np.kron(weights, np.linalg.inv(chebvander(at, self._count - 1)))
-        every = []
+        count, (low, high) = _SHARE_NODES[len(self._fitted)], LOG_SHARES
+        at = chebpts1(count)
+        self._chebyshev = np.linalg.inv(chebvander(at, count - 1)).T
+        rows = np.vstack([likelihood.data - emulator.mean, -emulator.modes]).T
+        of_data, nodes = np.eye(1, rows.shape[1])[0], []
         for chosen in itertools.product(at, repeat=len(self._fitted)):
             shares = likelihood.shares.copy()
             shares[self._fitted] = np.exp(low + 0.5 * (np.array(chosen) + 1.0) * (high - low))
-            noises = likelihood.noises_at(shares) if self._fitted else likelihood.noises
-            every.append([self._form(noise) for noise in noises])
-        #: of each part, Chebyshev coefficients in the shares of constants, and below them of what
-        #: products of (1, z) add to squares, (c, 1 + products, K)
-        self._forms = [np.tensordot(weights, forms, 1) for forms in zip(*every, strict=True)]
-        z = emulator.coordinates(emulator.box.design(_JUDGED))
-        by_node = self._by_node(z, np.tile(likelihood.shares, (len(z), 1)))
-        for part, logs in enumerate(by_node):
-            counts = np.flatnonzero((logs - logs.max(axis=0)).max(axis=1) > -_COUNTS)
-            kept = slice(max(counts[0] - 1, 0), counts[-1] + 2)
-            self._forms[part] = self._forms[part][..., kept]
-
-    def _form(self, noise: Noise) -> FloatArray:
-        """Return constants, and what products of (1, z) add to squares, (1 + products, K)."""
-        emulator, data = self.emulator, noise.data(self.likelihood.data[noise.rows])
-        rows = np.column_stack([data - emulator.mean[noise.rows], -emulator.modes[:, noise.rows].T])
-        grams = noise.grams(rows, np.eye(1, rows.shape[1])[0])
-        i, j = np.triu_indices(rows.shape[1])
-        return np.vstack([noise.log_constants, (grams[:, i, j] * (1.0 + (i != j))).T])
-
-    def _by_node(self, coordinates: FloatArray, shares: FloatArray) -> list[FloatArray]:
-        """Return log p (K, s) of each part at its growth times, see ``__call__``."""
-        (low, high), terms = LOG_SHARES, np.ones((1, len(coordinates)))
-        for column in np.log(shares[:, self._fitted]).T:
-            more = chebvander(2.0 * (column - low) / (high - low) - 1.0, self._count - 1).T
-            terms = (terms[:, None] * more).reshape(-1, len(column))
-        v = np.insert(coordinates.T, 0, 1.0, axis=0)
-        i, j = np.triu_indices(len(v))
-        products, every = None, []
-        for noise, form in zip(self.likelihood.noises, self._forms, strict=True):
-            if form[:, 0].size == 1:  # without products, which many modes have many of
-                triangle = np.zeros((len(v), len(v)))
-                triangle[i, j] = form[0, 1:, 0]
-                squares = np.einsum("is,is->s", triangle @ v, v)[None]
-            else:
-                products = v[i] * v[j] if products is None else products
-                squares = np.tensordot(form[:, 1:], products, (1, 0))  # (c, K, s)
-                squares = np.einsum("cks,cs->ks", squares, terms)
-            every.append(form[:, 0].T @ terms + noise.density(squares))
-        return every
+            noises = TestLikelihood(likelihood.test, likelihood.setting, shares).noises
+            nodes.append([noise.reduced(rows[noise.rows], of_data) for noise in noises])
+        #: what log p of each part takes from readings by (1, z), where no share is fitted
+        self._parts = [of._replace(rest=np.linalg.qr(of.rest)[1]) for of in nodes[0]]
+        #: constants and squares of all series, which are one part then, at c nodes of shares where
+        #: they are, (c, K) and (c, K, q, q)
+        self._constants = np.array([of.log_constants for of, *_ in nodes])
+        self._grams = np.array([of.grams() for of, *_ in nodes])
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:
         """Return log p (s,) at coordinates (s, r) of the emulator and shares (s, bodies)."""
-        emulator, at = self.emulator, self.likelihood.limits
-        total = np.zeros(len(coordinates))
-        for logs in self._by_node(coordinates, shares):
-            total += logsumexp(logs, axis=0) if len(logs) > 1 else logs[0]
-        if len(at):
-            readings = emulator.mean[at] + coordinates @ emulator.modes[:, at]
-            total += self.likelihood.of_limits(readings)
-        return total
+        (low, high), weights = LOG_SHARES, np.ones((1, len(coordinates)))
+        for column in np.log(shares[:, self._fitted]).T:
+            orders = chebvander(2.0 * (column - low) / (high - low) - 1.0, len(self._chebyshev) - 1)
+            weights = (weights[:, None] * (self._chebyshev @ orders.T)).reshape(-1, len(column))
+        v = np.insert(coordinates.T, 0, 1.0, axis=0)
+        if self._fitted:
+            squares = np.tensordot(self._grams, v[:, None] * v, 2)
+            squares = np.einsum("cks,cs->ks", squares, weights)
+            parts = [self._constants.T @ weights - 0.5 * squares]
+        else:
+            parts = [part.combined(v).log_p() for part in self._parts]
+        at = self.likelihood.limits
+        readings = self.emulator.mean[at] + coordinates @ self.emulator.modes[:, at]
+        return sum((logsumexp(p, axis=0) for p in parts), self.likelihood.of_limits(readings))

@@ -4,13 +4,10 @@ All are linear but the time of a thermal growth, which is at nodes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError, legible
 from ringwear_par.identification.definition.problem import (
@@ -26,8 +23,6 @@ from ringwear_par.schedules import in_time
 _WIDE, _WIDE_GROWTH = 1e4, 100.0
 #: sd of the prior of a growth time within which its nodes are
 _PRIOR_SDS = 4.5
-#: (nodes, weights) by their number
-_nodes = cache(leggauss)
 
 
 def growth(nuisance: Nuisance, case: Case, t: FloatArray, times: FloatArray) -> FloatArray:
@@ -47,26 +42,25 @@ def growth(nuisance: Nuisance, case: Case, t: FloatArray, times: FloatArray) -> 
     return grown
 
 
-def nuisance_columns(series: Series, case: Case, times: FloatArray) -> FloatArray:
-    """Return what a unit of each linear nuisance adds to readings of a series, (K, n, nuisances).
+def column(nuisance: Nuisance, series: Series, case: Case, times: FloatArray) -> FloatArray:
+    """Return what a unit of a linear nuisance adds to readings of a series, (n,), or (K, n).
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with its change since the start); the tilt
     with the distance in mm from the middle of the contact; thermal growth has a time (K,) s.
     """
-    columns = np.ones((len(times), series.n, len(series.linear_nuisances)))
-    for nuisance, column in zip(series.linear_nuisances, np.moveaxis(columns, 2, 0), strict=True):
-        if nuisance.kind == "drift":
-            column[:] = series.x / case.time.end
-        elif nuisance.kind == "compliance":
-            assert case.load.force is not None
-            start = 0.0 if series.quantity == "approach" else in_time(case.load.force, 0.0)
-            column[:] = 1e-3 * (in_time(case.load.force, series.x) - start)
-        elif nuisance.kind == "tilt":
-            column[:] = series.x - 0.5 * sum(case.contact)
-        elif nuisance.kind == "thermal":
-            column[:] = growth(nuisance, case, series.x, times)
-    return series.factor * columns
+    added = np.ones(series.n)
+    if nuisance.kind == "drift":
+        added = series.x / case.time.end
+    elif nuisance.kind == "compliance":
+        assert case.load.force is not None
+        start = 0.0 if series.quantity == "approach" else in_time(case.load.force, 0.0)
+        added = 1e-3 * (in_time(case.load.force, series.x) - start)
+    elif nuisance.kind == "tilt":
+        added = series.x - 0.5 * sum(case.contact)
+    elif nuisance.kind == "thermal":
+        added = growth(nuisance, case, series.x, times)
+    return series.factor * added
 
 
 def _prior(nuisance: Nuisance, series: Series) -> tuple[float, float]:
@@ -76,76 +70,67 @@ def _prior(nuisance: Nuisance, series: Series) -> tuple[float, float]:
     low, high = nuisance.bounds
     if not nuisance.free:
         return 0.5 * (low + high), (high - low) / np.sqrt(12.0)
-    noise, mean = float(series.sd.max()), 0.0
+    noise = float(series.sd.max())
     widest = _WIDE * (float(np.abs(series.value).max()) + noise)
     if nuisance.kind == "thermal":  # farther beyond the readings it would be an offset
         widest = _WIDE_GROWTH * float(np.ptp(series.value)) + noise
-    elif nuisance.kind in ("offset", "level"):  # so that squares are no differences of large ones
-        mean = float(series.value.mean())
-    return mean / series.factor, widest / series.factor
+    return 0.0, widest / series.factor
 
 
 def _growth_nodes(time: Nuisance, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes (K,) s of a growth time, and logarithms of their weights, its prior's too."""
+    """Return nodes (K,) s of a growth time, and logarithms of their weights, its prior's too.
+
+    They are in the middles of equal steps of the logarithm.
+    """
     low, high = time.bounds
     if time.prior is not None:
         at, sd = time.prior
         low, high = max(low, at - _PRIOR_SDS * sd), min(high, at + _PRIOR_SDS * sd)
-    low, high = np.log([low, high])
-    nodes, weights = _nodes(count)
-    times = np.exp(low + 0.5 * (nodes + 1.0) * (high - low))
-    logs = np.log(0.5 * (high - low) * weights * times)
+    step = np.log(high / low) / count
+    times = low * np.exp(step * (np.arange(count) + 0.5))
+    logs: FloatArray = np.log(step * times)
     if time.prior is not None:
         logs = logs - 0.5 * ((times - at) / sd) ** 2 - np.log(sd)
     return times, logs
 
 
-@dataclass(frozen=True, eq=False)
 class Nuisances:
-    """The c nuisances of some series of a test at K nodes of a growth time; one without growth."""
+    """The c nuisances of some series of a test at K nodes of a growth time; one without growth.
 
-    #: number of the series, -1 of the calibration of an input, and kind of each
-    owners: list[tuple[int, str]]
-    #: (K, n, c) what a unit of each, or one sd of a calibration, adds to the readings
-    columns: FloatArray
-    #: (c,) of their priors, wide where nothing is known; which of them are free
-    means: FloatArray
-    sds: FloatArray
-    free: BoolArray
-    #: (K,) s, growth times, and logarithms of their weights
-    times: FloatArray
-    log_weights: FloatArray
+    Parameters
+    ----------
+    scales : (n,) what the readings gain by one sd of the calibration of each input.
+    nodes : number of nodes of a growth time.
+    """
 
-    @classmethod
-    def of(
-        cls, test: Experiment, numbers: Sequence[int], scales: Sequence[FloatArray], nodes: int
-    ) -> "Nuisances":
-        """Return the nuisances of some series, and the calibrations of inputs.
-
-        Parameters
-        ----------
-        scales : (n,) what the readings gain by one sd of each calibration.
-        nodes : number of nodes of a growth time.
-        """
-        series = [test.series[i] for i in numbers]
-        grown = [time for s in series if (time := s.growth_time) is not None]
+    def __init__(
+        self, test: Experiment, numbers: Sequence[int], scales: Sequence[FloatArray], nodes: int
+    ) -> None:
+        grown = [time for i in numbers if (time := test.series[i].growth_time) is not None]
         if len(grown) > 1:
             raise InputError(
                 f'experiment "{legible(test.name)}": only one series may have thermal growth where '
                 "wear is random or an input has a scale"
             )
-        times, logs = _growth_nodes(grown[0], nodes) if grown else (np.zeros(1), np.zeros(1))
-        every = [(i, nuisance) for i in numbers for nuisance in test.series[i].linear_nuisances]
-        owners = [(i, nuisance.kind) for i, nuisance in every]
-        owners += [(-1, str(number)) for number in range(len(scales))]
-        columns, place = np.zeros((len(times), sum(s.n for s in series), len(owners))), 0
-        for one, rows in records(series):
-            some = slice(place, place := place + len(one.linear_nuisances))
-            columns[:, rows, some] = nuisance_columns(one, test.case, times)
-        for column, scale in enumerate(scales, place):
-            columns[:, :, column] = scale
-        priors = [(*_prior(nuisance, test.series[i]), nuisance.free) for i, nuisance in every]
-        priors += [(0.0, 1.0, False)] * len(scales)
-        means, sds, free = np.reshape(priors, (-1, 3)).T.astype(float)
-        sds = sds * columns.any(axis=(0, 1))  # what adds nothing stays where it is
-        return cls(owners, columns, means, sds, (free > 0.0) & (sds > 0.0), times, logs)
+        #: (K,) s, growth times, and logarithms of their weights
+        self.times, self.log_weights = np.zeros(1), np.zeros(1)
+        if grown:
+            self.times, self.log_weights = _growth_nodes(grown[0], nodes)
+        parts = records([test.series[i] for i in numbers])
+        every = [((-1, f"{k}"), slice(None), of, (0.0, 1.0), False) for k, of in enumerate(scales)]
+        for i, (series, rows) in zip(numbers, parts, strict=True):
+            for one in series.linear_nuisances:
+                added = column(one, series, test.case, self.times)
+                every.append(((i, one.kind), rows, added, _prior(one, series), one.free))
+        every.sort(key=lambda one: one[0][1] == "thermal")
+        #: number of the series, -1 of the calibration of an input, and kind of each; a growth last
+        self.owners = [owner for owner, *_ in every]
+        #: (K, n, c) what a unit of each, or one sd of a calibration, adds to the readings
+        self.columns = np.zeros((len(self.times), parts[-1][1].stop, len(every)))
+        for place, (_, rows, added, *_) in enumerate(every):
+            self.columns[:, rows, place] = added
+        #: (c,) of their priors, wide where nothing is known
+        self.means, self.sds = np.reshape([prior for *_, prior, _ in every], (-1, 2)).T
+        #: (c,) those that readings alone tell
+        self.free = np.array([free for *_, free in every], dtype=bool)
+        self.free &= self.columns.any(axis=(0, 1))

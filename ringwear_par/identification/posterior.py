@@ -13,30 +13,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln, log_ndtr
-from scipy.stats import truncnorm
+from scipy.special import ndtr
+from scipy.stats import norm, truncnorm
+from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.definition.problem import (
-    GROUPS,
-    Prior,
-    Problem,
-    Scatter,
-)
+from ringwear_par.identification.definition.problem import GROUPS, Prior, Problem
 from ringwear_par.identification.likelihood import LOG_SHARES, EmulatedLikelihood
 
-#: degrees of freedom of half-t priors of sizes, and the logarithm of their density at 0
+#: degrees of freedom of half-t priors of sizes
 _DEGREES = 4.0
-_HALF_T = float(np.log(2.0) + gammaln(2.5) - gammaln(2.0) - 0.5 * np.log(4.0 * np.pi))
-#: logarithm of the density of a normal distribution of sd 1 at its mean
-_NORMAL = -0.5 * float(np.log(2.0 * np.pi))
-#: logarithms of taus are no farther from those of the scales of their priors
-_FAR = 10.0
+#: limits of logarithms of taus, less those of the scales of their priors
+_FAR = np.array([-10.0, 10.0])
 #: share of the variance that keeps covariances of groups regular where one level vanishes
 _REGULAR = 1e-10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Size:
     """A tau, or the share of random wear: its logarithm is in theta, or it is known."""
 
@@ -45,7 +38,7 @@ class Size:
     known: float = 0.0
     #: of its half-t prior; the logarithm is within these limits
     scale: float = 1.0
-    limits: tuple[float, float] = (-np.inf, np.inf)
+    limits: FloatArray | tuple[float, float] = (-np.inf, np.inf)
 
     def __call__(self, theta: FloatArray) -> FloatArray:
         """Return the size (...), within its limits."""
@@ -57,73 +50,82 @@ class Size:
     def log_prior(self, theta: FloatArray) -> FloatArray:
         """Return the log density (...) of its logarithm."""
         log = theta[..., self.place]
-        square, volume = (self(theta) / self.scale) ** 2, log - np.log(self.scale)
-        logs = _HALF_T + volume - 0.5 * (_DEGREES + 1.0) * np.log1p(square / _DEGREES)
+        logs = student_t.logpdf(self(theta) / self.scale, _DEGREES) + log
+        logs = logs + np.log(2.0 / self.scale)
         return np.where((log > self.limits[0]) & (log < self.limits[1]), logs, -np.inf)
 
 
-@dataclass(frozen=True, eq=False)
 class Scattering:
-    """A key whose value differs between groups of tests."""
+    """A key whose value differs between groups of tests.
 
-    #: its number, and the smallest and largest unknown of the material
-    key: int
-    bounds: tuple[float, float]
-    #: mean and sd of the material's unknown before any reading; None: it is flat
-    prior: Prior | None
-    #: places of the groups' values in theta
-    places: slice
-    #: (tests,) number of the group of each test
-    group: IntArray
-    #: sd of deviations by the name of their level
-    levels: Mapping[str, Size]
-    #: (levels, groups, groups) 1 where two groups are of one specimen, batch, lab
-    same: FloatArray
+    Parameters
+    ----------
+    key : its number.
+    levels : sd of deviations by the name of their level.
+    place : of the first group's value in theta.
+    """
+
+    def __init__(self, problem: Problem, key: int, levels: Mapping[str, Size], place: int) -> None:
+        parameter, prior = problem.parameters[key], problem.parameters[key].prior
+        self.key, self.levels = key, levels
+        low, high = parameter.bounds
+        #: smallest and largest unknown of the material
+        self.bounds = parameter.unknown(low), parameter.unknown(high)
+        if prior is not None and parameter.log:
+            prior = Prior(float(np.log(prior.mean)), prior.sd / prior.mean)
+        #: mean and sd of the material's unknown before any reading; None: it is flat
+        self.prior = prior
+        names = np.array([test.groups for test in problem.experiments])
+        labels = names[:, [GROUPS.index(name) for name in levels]]
+        groups, of_tests = np.unique(labels, axis=0, return_inverse=True)
+        #: (tests,) number of the group of each test
+        self.group: IntArray = of_tests.ravel()
+        #: of the groups' values in theta
+        self.places = slice(place, place + len(groups))
+        #: (levels, groups, groups) whether two groups are of one specimen, batch, lab
+        self.same = (groups[:, None] == groups).transpose(2, 0, 1)
 
     def spread(self, theta: FloatArray) -> FloatArray:
         """Return the sd (...) of one more specimen, of a new batch and laboratory."""
         return np.sqrt(sum(size(theta) ** 2 for size in self.levels.values()))
 
-    def material(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _material(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return mean and sd (...) of the material's value, and log p of the groups'."""
         x = theta[..., self.places]
         sizes = np.stack([size(theta) for size in self.levels.values()], axis=-1)
-        if len(self.levels) == 1:
-            tau, n = sizes[..., 0], x.shape[-1]
-            mean, precision = x.mean(axis=-1), n / tau**2
-            rest = np.square(x - mean[..., None]).sum(axis=-1) / tau**2
-            volume = -n * np.log(tau)
+        both = np.stack([x, np.ones_like(x)], axis=-1)
+        if len(self.levels) == 1:  # quicker by far where there are many groups
+            solved, volume = both / sizes[..., None] ** 2, -x.shape[-1] * np.log(sizes[..., 0])
         else:
-            total = np.square(sizes).sum(axis=-1)[..., None, None]
-            covariance = np.einsum("...l,lij->...ij", sizes**2, self.same)
-            covariance = covariance + _REGULAR * total * np.eye(x.shape[-1])
-            factor = np.linalg.inv(np.linalg.cholesky(covariance))
-            a, b = np.einsum("...ij,...j->...i", factor, x), factor.sum(axis=-1)
-            precision = np.square(b).sum(axis=-1)
-            mean = (a * b).sum(axis=-1) / precision
-            rest = np.square(a).sum(axis=-1) - mean**2 * precision
-            volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-        logs = _NORMAL * (x.shape[-1] - 1) + volume - 0.5 * rest - 0.5 * np.log(precision)
+            same = self.same + _REGULAR * np.eye(x.shape[-1])
+            covariance = np.einsum("...l,lij->...ij", sizes**2, same)
+            solved = np.linalg.solve(covariance, both)
+            volume = -0.5 * np.linalg.slogdet(covariance)[1]
+        precision = solved[..., 1].sum(axis=-1)
+        mean = solved[..., 0].sum(axis=-1) / precision
+        off = solved[..., 0] - mean[..., None] * solved[..., 1]
+        rest = ((x - mean[..., None]) * off).sum(axis=-1)
+        constant = -0.5 * (x.shape[-1] - 1) * np.log(2.0 * np.pi)
+        logs = constant + volume - 0.5 * rest - 0.5 * np.log(precision)
         if self.prior is None:
             return mean, precision**-0.5, logs - np.log(self.bounds[1] - self.bounds[0])
         at, sd = self.prior
-        variance, both = 1.0 / precision + sd**2, precision + sd**-2
-        logs = logs + _NORMAL - 0.5 * (mean - at) ** 2 / variance - 0.5 * np.log(variance)
-        return (precision * mean + at / sd**2) / both, both**-0.5, logs
+        logs = logs + norm.logpdf(mean, at, np.hypot(precision**-0.5, sd))
+        total = precision + sd**-2
+        return (precision * mean + at / sd**2) / total, total**-0.5, logs
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
         """Return the log density (...) of the groups' values."""
-        mean, sd, logs = self.material(theta)
-        low, high = ((end - mean) / sd for end in self.bounds)
-        inside = np.exp(log_ndtr(high)) - np.exp(log_ndtr(low))
-        total: FloatArray = logs + np.log(np.maximum(inside, 1e-300))
+        mean, sd, logs = self._material(theta)
+        below, above = (ndtr((end - mean) / sd) for end in self.bounds)
+        total: FloatArray = logs + np.log(np.maximum(above - below, 1e-300))
         return total
 
     def draw(self, theta: FloatArray, random: np.random.Generator) -> FloatArray:
         """Return a draw of the material's value for each theta, (...)."""
-        mean, sd, _ = self.material(theta)
+        mean, sd, _ = self._material(theta)
         low, high = ((end - mean) / sd for end in self.bounds)
-        drawn: FloatArray = mean + sd * truncnorm.rvs(low, high, random_state=random)
+        drawn: FloatArray = truncnorm.rvs(low, high, mean, sd, random_state=random)
         return drawn
 
 
@@ -135,7 +137,7 @@ class Posterior:
 
     Parameters
     ----------
-    likelihoods : one a test, or none; tests of equal conditions share an emulator.
+    likelihoods : one a test, or none.
     """
 
     def __init__(self, problem: Problem, likelihoods: Sequence[EmulatedLikelihood] = ()) -> None:
@@ -148,45 +150,29 @@ class Posterior:
         self.dimension = len(self.shared)
         #: sizes that are fitted, in theta behind these
         self.sizes: list[Size] = []
-        levels = {j: self._levels(p.scatter) for j, p in enumerate(parameters) if p.scatter}
+        levels = [
+            (j, {level: self._size(known, s.scale, np.log(s.scale) + _FAR)
+                 for level, known in s.sizes.items()})
+            for j, p in enumerate(parameters) if (s := p.scatter) is not None
+        ]  # fmt: skip
         #: shares of random wear, of the bodies that have it
         self.wear_shares = [
             self._size(None if p.fitted else p.share or 0.0, p.scale, LOG_SHARES) for p in process
         ]
-        self.scatterings = [self._scattering(j, sizes) for j, sizes in levels.items()]
-        #: numbers of tests that share an emulator
-        self._alike: dict[int, list[int]] = {}
-        for i, likelihood in enumerate(likelihoods):
-            self._alike.setdefault(id(likelihood.emulator), []).append(i)
+        self.scatterings: list[Scattering] = []
+        for j, sizes in levels:
+            self.scatterings.append(Scattering(problem, j, sizes, self.dimension))
+            self.dimension = self.scatterings[-1].places.stop
 
-    def _size(self, known: float | None, scale: float, limits: tuple[float, float]) -> Size:
+    def _size(
+        self, known: float | None, scale: float, limits: FloatArray | tuple[float, float]
+    ) -> Size:
         """Return a size that is known, or one with the next place in theta."""
         if known is not None:
             return Size(None, known)
         self.sizes.append(Size(self.dimension, scale=scale, limits=limits))
         self.dimension += 1
         return self.sizes[-1]
-
-    def _levels(self, scatter: Scatter) -> dict[str, Size]:
-        middle = float(np.log(scatter.scale))
-        limits = middle - _FAR, middle + _FAR
-        return {
-            name: self._size(known, scatter.scale, limits) for name, known in scatter.sizes.items()
-        }
-
-    def _scattering(self, key: int, sizes: dict[str, Size]) -> Scattering:
-        """Return the scattering of a key, with the next places in theta."""
-        parameter, tests = self.problem.parameters[key], self.problem.experiments
-        labels = np.array([test.groups for test in tests])[:, [*map(GROUPS.index, sizes)]]
-        groups, of_tests = np.unique(labels, axis=0, return_inverse=True)
-        places = slice(self.dimension, self.dimension + len(groups))
-        self.dimension = places.stop
-        same = (groups[:, None] == groups).transpose(2, 0, 1).astype(float)
-        prior = parameter.prior
-        if prior is not None and parameter.log:
-            prior = Prior(float(np.log(prior.mean)), prior.sd / prior.mean)
-        bounds = float(self.low[key]), float(self.high[key])
-        return Scattering(key, bounds, prior, places, of_tests.ravel(), sizes, same)
 
     # -- what is in theta --------------------------------------------------------------------------
 
@@ -223,8 +209,7 @@ class Posterior:
                 x[:, j] = np.log(values) if p.log else values
         theta[:, : len(self.shared)] = x[:, self.shared]
         for size in self.sizes:
-            log = np.log(0.5 * size.scale) + 0.5 * random.standard_normal(count)
-            theta[:, size.place] = log
+            theta[:, size.place] = np.log(0.5 * size.scale) + 0.5 * random.standard_normal(count)
         for s in self.scatterings:
             z = random.standard_normal((count, s.places.stop - s.places.start))
             values = x[:, [s.key]] + s.spread(theta)[:, None] * z
@@ -244,35 +229,20 @@ class Posterior:
             low, high = self.low[j], self.high[j]
             density = -np.log(high - low)
             if p.prior is not None:
-                value, (mean, sd) = np.exp(x) if p.log else x, p.prior
-                density = _NORMAL - np.log(sd) - 0.5 * ((value - mean) / sd) ** 2 + x * p.log
+                density = norm.logpdf(np.exp(x) if p.log else x, *p.prior) + x * p.log
             logs = logs + np.where((x >= low) & (x <= high), density, -np.inf)
         parts: list[Size | Scattering] = [*self.sizes, *self.scatterings]
         for part in parts:
             logs = logs + part.log_prior(theta)
         return logs
 
-    def of_readings(self, theta: FloatArray) -> FloatArray:
-        """Return log likelihoods (s,) at theta (s, d)."""
-        x, shares, total = self.of_tests(theta), self.shares(theta), np.zeros(len(theta))
-        for tests in self._alike.values():
-            coordinates = self.likelihoods[tests[0]].emulator.coordinates(x[:, tests])
-            for place, test in enumerate(tests):
-                total += self.likelihoods[test](coordinates[:, place], shares)
-        return total
-
     def parts(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log prior and log likelihood (s,) of theta (s, d); -inf and 0 out of boxes."""
-        prior, x = self.log_prior(theta), self.of_tests(theta)
-        for tests in self._alike.values():
-            inside = self.likelihoods[tests[0]].emulator.holds(x[:, tests]).all(axis=1)
-            prior[~inside] = -np.inf
-        inside, likelihood = np.isfinite(prior), np.zeros(len(theta))
-        if inside.any():
-            likelihood[inside] = self.of_readings(theta[inside])
+        prior, x, likelihood = self.log_prior(theta), self.of_tests(theta), np.zeros(len(theta))
+        for i, of_test in enumerate(self.likelihoods):
+            prior[~of_test.emulator.holds(x[:, i])] = -np.inf
+        inside = np.isfinite(prior)
+        x, shares = x[inside], self.shares(theta[inside])
+        for i, of_test in enumerate(self.likelihoods):
+            likelihood[inside] += of_test(of_test.emulator.coordinates(x[:, i]), shares)
         return prior, likelihood
-
-    def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return log p (s,) of theta (s, d); -inf out of the boxes."""
-        prior, likelihood = self.parts(theta)
-        return prior + likelihood

@@ -42,7 +42,7 @@ def read(
             readings.append(values @ interpolation(time, series.x, breaks).T)
         elif series.at is not None:
             wear = interpolation(time, np.array([series.at]), breaks) @ data[f"wear_{body}"]
-            readings.append(wear[:, 0] @ _radial(series, case).T)
+            readings.append(_radial(series, case, wear[:, 0]))
         else:
             readings.append(times_through(cases, body, time, data[f"wear_{body}"])[:, None])
     return np.concatenate(readings, axis=1)
@@ -82,17 +82,15 @@ def interpolation(time: FloatArray, at: FloatArray, breaks: Sequence[float]) -> 
     return weights
 
 
-def _radial(series: Series, case: Case) -> FloatArray:
-    """Return (n, elements) what points of a profile are of depths of elements; 0 beyond them."""
-    a, b = case.contact
-    mid_points = case.line.r
+def _radial(series: Series, case: Case, wear: FloatArray) -> FloatArray:
+    """Return the points (B, n) of a profile by depths (B, elements); 0 beyond the contact."""
+    (a, b), mid_points = case.contact, case.line.r
     close = _CLOSE * b
     inside = (series.x >= a - close) & (series.x <= b + close)
     # the outermost half elements are thinner than any stylus
-    r = np.clip(series.x[inside], mid_points[0], mid_points[-1])
-    weights = np.zeros((series.n, len(mid_points)))
-    weights[inside] = CubicSpline(mid_points, np.eye(len(mid_points)))(r)
-    return weights
+    r = np.clip(series.x, mid_points[0], mid_points[-1])
+    depths: FloatArray = CubicSpline(mid_points, wear, axis=1)(r) * inside
+    return depths
 
 
 def times_through(

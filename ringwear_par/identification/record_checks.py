@@ -81,13 +81,14 @@ def is_reversed(test: Experiment, series: Series, model: FloatArray) -> bool:
         same = replace(series, sd_fitted=False, censored=None, nuisances=nuisances)
         alone = replace(test, series=(same,), inputs=())
         noise = Noise(alone, [0], Setting.before(alone), np.zeros(0))
-        rows = np.column_stack([noise.data(series.value), model])
-        (squares, along), (_, size) = noise.grams(rows, np.array([1.0, 0.0])).transpose(1, 2, 0)
+        reduced = noise.reduced(np.column_stack([series.value, model]), np.array([1.0, 0.0]))
+        (squares, along), (_, size) = reduced.grams().transpose(1, 2, 0)
+        constants = reduced.log_constants
         # log p of the best factor on the model below 0 and above, and of no model
         wrong, right, none = (
-            (noise.log_constants - 0.5 * (squares - part**2 / np.maximum(size, 1e-300))).max()
+            (constants - 0.5 * (squares - part**2 / np.maximum(size, 1e-300))).max()
             for part in (np.minimum(along, 0.0), np.maximum(along, 0.0), 0.0 * along)
         )
-        if wrong - right <= max(_SURE, _SHARE * (noise.log_constants.max() - none)):
+        if wrong - right <= max(_SURE, _SHARE * (constants.max() - none)):
             return False
     return True

@@ -14,13 +14,14 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import (
     Experiment,
+    Prior,
     Problem,
     Series,
     body_of_wear,
 )
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.likelihood import TestLikelihood
-from ringwear_par.identification.noise import Setting
+from ringwear_par.identification.noise import Clocks, Setting
 from ringwear_par.schedules import Table, in_time
 
 #: relative difference of rates, and of measured inputs
@@ -31,8 +32,7 @@ def needs_middle(problem: Problem) -> bool:
     """Tell whether the likelihoods of a problem depend on where the draws are."""
     settings, tests = problem.settings, problem.experiments
     return bool(settings.process) or settings.loss == "student" or any(
-        test.torque_input or any(measured.scale for measured in test.inputs)
-        or any(s.sd_fitted or s.censored is not None for s in test.series)
+        test.inputs or any(s.sd_fitted or s.censored is not None for s in test.series)
         for test in tests
     )  # fmt: skip
 
@@ -47,7 +47,7 @@ def settings_at(
 
     Parameters
     ----------
-    shares : (bodies,) of random wear, where they are fitted.
+    shares : (bodies,) of random wear.
     """
     _tell_friction(readings, middle)
     tests, settings = readings.problem.experiments, readings.problem.settings
@@ -58,34 +58,24 @@ def settings_at(
         for (key, noise), depth in zip(settings.process.items(), depths, strict=True)
     }
     readings.problem = replace(readings.problem, settings=replace(settings, process=process))
-    known = [noise.share for noise in process.values()]
-    at = np.array([s if k is None else k for s, k in zip(shares, known, strict=True)])
     found = []
     for i, (test, setting, y) in enumerate(zip(tests, old, predicted, strict=True)):
         if np.isfinite(y).all():
-            scales = _scales(readings, i, middle)
-            now = replace(setting, clocks=tuple(clocks[i]), scales=scales)
-            setting = TestLikelihood(test, now, at).adapted(y, settings.loss)
+            now = replace(setting, clocks=clocks[i], scales=_scales(readings, test, middle[i]))
+            setting = TestLikelihood(test, now, shares).adapted(y, settings.loss)
         found.append(setting)
     return found
 
 
 def _read(
     readings: Readings,
-    experiments: Sequence[Experiment],
+    tests: Sequence[Experiment],
     x: FloatArray,
     factors: tuple[float, float] = (1.0, 1.0),
-    tests: Sequence[int] | None = None,
 ) -> list[FloatArray]:
-    """Return the readings (n,) of tests in place of those of the problem, or of some of them.
-
-    At unknowns (tests, m), by histories whose rates have factors.
-    """
-    problem, numbers = readings.problem, range(len(x)) if tests is None else tests
-    readings.problem = replace(problem, experiments=tuple(experiments))
-    every = readings([(i, x[i : i + 1]) for i in numbers], factors=factors)
-    readings.problem = problem
-    return [y[0] for y in every]
+    """Return the readings (n,) of tests at unknowns (tests, m), by rates that have factors."""
+    wanted = [(i, x[i : i + 1]) for i in range(len(tests))]
+    return [y for (y,) in readings(wanted, experiments=tests, factors=factors)]
 
 
 def _reading_too(test: Experiment, times: FloatArray, *quantities: str) -> Experiment:
@@ -96,74 +86,65 @@ def _reading_too(test: Experiment, times: FloatArray, *quantities: str) -> Exper
 
 def _tell_friction(readings: Readings, x: FloatArray) -> None:
     """Tell friction by torques, at the radius where it acts in histories at unknowns (tests, m)."""
-    experiments = list(readings.problem.experiments)
-    if not any(test.torque_input for test in experiments):
+    tests = [*readings.problem.experiments]
+    told = [i for i, test in enumerate(tests) if test.torque_input is not None]
+    if not told:
         return
-    grids = [step_times(test, readings.steps) for test in experiments]
-    more = [_reading_too(test, at, "torque") for test, at in zip(experiments, grids, strict=True)]
-    every = _read(readings, more, x)
-    for i, (test, at, y) in enumerate(zip(experiments, grids, every, strict=True)):
-        force, friction = test.case.load.force, test.case.friction
-        if test.torque_input is None or force is None or not np.isfinite(y).all():
+    grids = [step_times(tests[i], readings.steps) for i in told]
+    more = [_reading_too(tests[i], at, "torque") for i, at in zip(told, grids, strict=True)]
+    for i, at, y in zip(told, grids, _read(readings, more, x[told]), strict=True):
+        force, friction = tests[i].case.load.force, tests[i].case.friction
+        if force is None or not np.isfinite(y).all():
             continue
         normal = in_time(force, at)
         pressed = normal > 0.0
-        radius = y[test.n :][pressed] / (in_time(friction, at) * normal)[pressed]
-        table = Table(tuple(at[pressed].tolist()), tuple(radius.tolist()))
-        experiments[i] = test.with_radius(table)
-    readings.problem = replace(readings.problem, experiments=tuple(experiments))
+        radius = y[tests[i].n :][pressed] / (in_time(friction, at) * normal)[pressed]
+        tests[i] = tests[i].with_radius(Table(tuple(at[pressed].tolist()), tuple(radius.tolist())))
+    readings.problem = replace(readings.problem, experiments=tuple(tests))
 
 
-def random_wear(
-    readings: Readings, x: FloatArray
-) -> tuple[list[list[tuple[FloatArray, FloatArray]]], FloatArray]:
+def random_wear(readings: Readings, x: FloatArray) -> tuple[list[Clocks], FloatArray]:
     """Return the clocks of all tests at unknowns (tests, m), see ``Setting``, and depths (bodies,).
 
     The depths (mm) are the largest mean ones of all tests. On the first rank.
     """
     tests = readings.problem.experiments
     bodies = [body_of_wear(key) for key in readings.problem.settings.process]
-    clocks: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in tests]
-    depths = np.zeros(len(bodies))
     if not bodies:
-        return clocks, depths
+        return [()] * len(tests), np.zeros(0)
     volumes = [f"volume.{body}" for body in bodies]
     more = [_reading_too(test, test.times, *volumes) for test in tests]
-    usual = _read(readings, more, x)
-    for place, body in enumerate(bodies):
-        lower, upper = (1.0 + _DIFFERENCE * (b == body) for b in BODIES)
-        faster = _read(readings, more, x, (lower, upper))
-        worn = [
-            np.nan_to_num(y.reshape(-1, test.n)[1 + place]) / test.case.area
-            for y, test in zip(usual, tests, strict=True)
-        ]
-        depths[place] = max(1e-300, *(depth.max() for depth in worn))
-        for of_test, test, fast, slow, depth in zip(
-            clocks, tests, faster, usual, worn, strict=True
-        ):
-            slope, share = np.nan_to_num(fast - slow)[: test.n] / _DIFFERENCE, depth / depths[place]
-            felt = np.divide(slope, share, out=np.zeros_like(share), where=share > 0.0)
-            of_test.append((felt, share))
+    usual, greater = _read(readings, more, x), 1.0 + _DIFFERENCE
+    rates = [(greater, 1.0) if body == BODIES[0] else (1.0, greater) for body in bodies]
+    faster = [_read(readings, more, x, factors) for factors in rates]
+    worn = [
+        np.nan_to_num(y[test.n :].reshape(-1, test.n)) / test.case.area
+        for test, y in zip(tests, usual, strict=True)
+    ]
+    depths = np.maximum(np.max([depth.max(axis=1) for depth in worn], axis=0), 1e-300)
+    clocks: list[Clocks] = []
+    for y, depth, *of_bodies in zip(usual, worn, *faster, strict=True):
+        shares = depth / depths[:, None]
+        slopes = np.nan_to_num(np.array(of_bodies) - y)[:, : shares.shape[1]] / _DIFFERENCE
+        felt = np.divide(slopes, shares, out=np.zeros_like(shares), where=shares > 0.0)
+        clocks.append(tuple(zip(felt, shares, strict=True)))
     return clocks, depths
 
 
-def _scales(readings: Readings, number: int, middle: FloatArray) -> tuple[FloatArray, ...]:
+def _scales(readings: Readings, test: Experiment, x: FloatArray) -> tuple[FloatArray, ...]:
     """Return what the readings (n,) of a test gain by one sd of each input's calibration."""
-    tests, columns = [*readings.problem.experiments], []
-    test = tests[number]
+    columns = []
     for measured in test.inputs:
         if measured.scale is None:
             continue
-        mean, sd = measured.scale
-        both = []
+        (mean, sd), both = measured.scale, []
         for factor in (1.0 - _DIFFERENCE, 1.0 + _DIFFERENCE):
-            changed = replace(measured, scale=measured.scale._replace(mean=factor * mean))
+            changed = replace(measured, scale=Prior(factor * mean, sd))
             inputs = tuple(changed if i is measured else i for i in test.inputs)
-            tests[number] = replace(test, inputs=inputs)
-            if not measured.of_torque:  # a larger force makes a friction less
-                tests[number] = replace(tests[number], case=changed.applied(test.case))
-            if test.torque_input is not None:
-                tests[number] = tests[number].with_radius(test.torque_input.radius)
-            both += _read(readings, tests, middle, tests=[number])
-        columns.append((both[1] - both[0]) / (2.0 * _DIFFERENCE) * sd / mean)
+            # a larger force makes a friction less
+            case = test.case if measured.of_torque else changed.applied(test.case)
+            other, torque = replace(test, inputs=inputs, case=case), test.torque_input
+            both.append(other if torque is None else other.with_radius(torque.radius))
+        less, more = _read(readings, both, np.array([x, x]))
+        columns.append((more - less) / (2.0 * _DIFFERENCE) * sd / mean)
     return tuple(columns)

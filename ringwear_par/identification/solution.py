@@ -315,7 +315,7 @@ def mode(posterior: Posterior, theta: FloatArray, density: FloatArray) -> FloatA
 
     def minus_log_p(t: FloatArray) -> tuple[float, FloatArray]:
         moved = t + _MOVED * np.eye(len(t) + 1, len(t), -1)
-        values = -np.maximum(posterior(best + scale * moved), -1e10)
+        values = -np.maximum(sum(posterior.parts(best + scale * moved)), -1e10)
         return values[0], (values[1:] - values[0]) / _MOVED
 
     start = np.zeros(len(best))

@@ -271,7 +271,7 @@ class Follower:
         test, x, sds = specimen.likelihood.test, specimen.unknowns[:, : self.m], []
         end = test.case.time.end
         planned = replace(test, series=tuple(_to_end(series, end) for series in test.series))
-        emulator, none = self.reading(planned)[0], np.zeros(self.m)
+        emulator = self.reading(planned)[0]
         slopes = np.linalg.lstsq(x - x.mean(axis=0), emulator.coordinates(x), rcond=None)[0]
         jacobian = (slopes @ emulator.modes).T
         at = np.linspace(test.times.max(), end, _TIMES)
@@ -280,7 +280,7 @@ class Follower:
             information = self.precision
             for noise in self.likelihood_like(specimen, part_of(planned, known)).noises:
                 middle, rows = len(noise.nuisances.times) // 2, jacobian[known][noise.rows]
-                information = information + noise.grams(rows, none, middle)
+                information = information + noise.reduced(rows, 0.0).grams()[middle]
             sds.append(np.sqrt(np.linalg.pinv(information, hermitian=True)[key, key]))
         less = np.minimum.accumulate(sds) / sds[0]
         reached = None if less[-1] > ratio else float(np.interp(-ratio, -less, at))

@@ -134,7 +134,7 @@ def test_growth_times_are_integrated(known):
     assert found == pytest.approx([np.log(zero) + free for zero, _ in moments], abs=1e-4)
     many = np.tile(SLOPES[:N] @ x[0], (4000, 1))
     added, values = likelihood.nuisance_draws(many, np.random.default_rng(0))
-    times = values[0, "thermal time"]
+    times = values[0, GROWTH_TIME]
     assert times.mean() == pytest.approx(moments[0][1] / moments[0][0], abs=0.3)
     one = values[0, "thermal"][:, None] * -np.expm1(-record.x / times[:, None])
     np.testing.assert_allclose(added, one, atol=1e-9)

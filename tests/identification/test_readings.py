@@ -14,7 +14,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance
 from ringwear_par.identification.histories import Readings, step_times
 from ringwear_par.identification.noise import coloured, log_volumes, whitened
-from ringwear_par.identification.nuisances import growth, nuisance_columns
+from ringwear_par.identification.nuisances import column, growth
 from ringwear_par.identification.readings import interpolation
 
 
@@ -53,14 +53,14 @@ def test_noise_in_time_becomes_white():
 def test_nuisances():
     load = [[0, 40], [2, 40], [4, 80]]
     case = rw.read_case("scripts/cases/paper.toml", {"load.force": load, "time.steps": 10})
-    kinds = tuple(Nuisance(kind) for kind in ("offset", "drift", "compliance"))
-    record = replace(series(np.zeros(5)), x=np.arange(1.0, 6.0), factor=1e-3, nuisances=kinds)
-    (columns,) = nuisance_columns(record, case, np.zeros(1))
-    expected = [np.ones(5), record.x / 10.0, 1e-3 * np.array([0, 0, 20, 40, 40])]
-    assert pytest.approx(1e-3 * np.array(expected)) == columns.T
-    tilted = replace(record, quantity="profile.lower", nuisances=(Nuisance("tilt"),))
-    ((tilt,),) = nuisance_columns(tilted, case, np.zeros(1)).transpose(0, 2, 1)
-    assert tilt == pytest.approx(1e-3 * (record.x - 30.0))
+    record = replace(series(np.zeros(5)), x=np.arange(1.0, 6.0), factor=1e-3)
+    expected = {
+        "offset": np.ones(5), "drift": record.x / 10.0, "tilt": record.x - 30.0,
+        "compliance": 1e-3 * np.array([0, 0, 20, 40, 40]),
+    }  # fmt: skip
+    for kind, one in expected.items():
+        added = column(Nuisance(kind), record, case, np.zeros(1))
+        assert added == pytest.approx(1e-3 * one)
 
 
 def test_growth_with_friction_power_is_a_sum_over_steps():

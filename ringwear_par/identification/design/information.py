@@ -176,12 +176,12 @@ def informations(readings: Readings, before: Before) -> FloatArray:
         if not np.isfinite(slope).all():
             continue
         setting = Setting.before(test)
-        setting = replace(setting, clocks=tuple(of_test), sd=setting.sd / np.sqrt(worse))
+        setting = replace(setting, clocks=of_test, sd=setting.sd / np.sqrt(worse))
         noise = Noise(test, range(len(test.series)), setting, shares)
         rows = slope[noise.rows].reshape(len(noise.rows), -1)
         times = [time.expected for one in test.series if (time := one.growth_time)] or [1.0]
         distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
-        gram = noise.grams(rows, np.zeros(rows.shape[1]), int(distance.argmin()))
+        gram = noise.reduced(rows, 0.0).grams()[distance.argmin()]
         alone = np.einsum("didj->dij", gram.reshape(d, m, d, m))
         scatter = before.scatter  # of the specimen's own values about the material's
         information[number] = np.linalg.solve(np.eye(m) + alone * scatter, alone)

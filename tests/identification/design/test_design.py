@@ -16,7 +16,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.design.design import run_design
 from ringwear_par.identification.design.information import candidates
 from ringwear_par.identification.histories import Readings
-from ringwear_par.identification.nuisances import nuisance_columns
+from ringwear_par.identification.nuisances import column
 
 K, P0 = TRUTH
 VARY = {"load.pressure": [40.0, 96.0]}
@@ -109,8 +109,9 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
     for matrix, test, columns in zip(each, tests, slopes, strict=True):
         start = 0
         for series in test.series:
-            (added,) = nuisance_columns(series, test.case, np.array([25.0]))
-            sds = [1e3 if n.prior is None else n.prior.sd for n in series.linear_nuisances]
+            at, every = np.array([25.0]), series.linear_nuisances
+            added = np.column_stack([np.ravel(column(n, series, test.case, at)) for n in every])
+            sds = [1e3 if n.prior is None else n.prior.sd for n in every]
             covariance = np.diag(series.sd**2) + (added * np.square(sds)) @ added.T
             part = columns[start : (start := start + series.n)]
             matrix += part.T @ np.linalg.solve(covariance, part)
