@@ -11,7 +11,6 @@ from laboratory import (
     changed,
     fit_tables,
     history,
-    refused,
     write_table,
     write_tests,
 )
@@ -104,8 +103,7 @@ def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
     t = np.linspace(0.0, END, 60)
     write_table(folder / "f.csv", ("t_s", "p_bar"), t, 10.0 * np.full(60, 85.0))
     write_table(folder / "w.csv", ("t_min", "n_rpm"), t / 60.0, np.full(60, 30.0))
-    tables = changed(tables, ("experiment", 1, "set"),
-                     {"time.end": END, "wear.lower.p0": 25.0})  # fmt: skip
+    tables["experiment"][1]["set"] = {"time.end": END, "wear.lower.p0": 25.0}
     tables["experiment"][1]["input"] += [
         {"key": "load.pressure", "file": str(folder / "f.csv"),
          "columns": {"time": "t_s", "value": "p_bar"}},
@@ -116,21 +114,3 @@ def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
     assert case.load.force(50.0) == pytest.approx(85.0 * case.area)
     assert case.load.omega(50.0) == pytest.approx(np.pi)
     assert case.friction(60.0) == pytest.approx(0.12, rel=5e-3)
-
-
-def test_inputs_that_are_refused(tables, written):
-    folder, _ = written
-    t = np.linspace(0.0, 0.5 * END, 12)
-    write_table(folder / "low.csv", ("t_s", "m_Nm"), t, np.linspace(-1.0, 10.0, 12))
-    write_table(folder / "few.csv", ("t_s", "m_Nm"), [0.0, END], [10.0, 10.0])
-    tables = changed(tables, ("experiment", 0, "set", MU), 0.1)
-    tables = changed(tables, ("fit", "parameters", MU), {"start": 0.1, "bounds": [0.01, 1.0]})
-    first, second = tables["experiment"]
-    first["input"][0]["file"] = str(folder / "low.csv")
-    torque = {"quantity": "torque", "file": str(folder / "m1.csv"), "sd": 1.0,
-              "columns": {"time": "t_s", "value": "m_Nm"}}  # fmt: skip
-    first["data"].append(torque)
-    second["input"] = [{**INPUT, "file": str(folder / "few.csv")}]
-    text = "\n".join(refused(tables))
-    for words in ("is fitted, and", "is set, and", "must be > 0", "50 %", "10 at least"):
-        assert words in text
