@@ -8,7 +8,6 @@ from laboratory import (
     END,
     FITTED,
     TRUTH,
-    changed,
     fit_tables,
     history,
     write_table,
@@ -85,8 +84,8 @@ def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables):
 def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
     """Without threshold k mu counts: the variance of log k gains that of log mu."""
     plain = write_measured(tmp_path, {**TRUTH, "wear.lower.p0": 0.0}, (85.0,))
-    scaled = changed(plain, ("experiment", 0, "input", 0, "scale"),
-                     {"prior": {"normal": [1.1, 0.03]}})  # fmt: skip
+    scaled = copy.deepcopy(plain)
+    scaled["experiment"][0]["input"][0]["scale"] = {"prior": {"normal": [1.1, 0.03]}}
     exact, found = (rw.fit(tables, MPI.COMM_SELF) for tables in (plain, scaled))
     before, after = exact.parameters[K], found.parameters[K]
     relative = [k["sd"] / k["estimate"] for k in (before, after)]

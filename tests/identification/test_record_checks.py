@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from laboratory import PEN, changed, write_table
+from laboratory import write_table
 from mpi4py import MPI
 from parts import StopSignals
 
@@ -11,15 +11,16 @@ from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.record_checks import refuse_unfit, trend
 
 
-def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path):
-    data = good["experiment"][0]["data"][0]
+def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(tables, tmp_path):
+    given = tables()
+    data = given["experiment"][0]["data"][0]
     t, z = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
     write_table(tmp_path / "z.csv", tuple(data["columns"].values()), t, z - 4.0 * z.max() * t / 100)
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    data["file"] = str(tmp_path / "z.csv")
     prior = {"prior": {"normal": [-4.0 * z.max(), z.max()]}}
     for known in (prior, {}):
-        tables["experiment"][0]["data"][0]["nuisance"]["drift"] = known
-        refuse_unfit(Readings(read_fit(tables), MPI.COMM_SELF, StopSignals()))
+        data["nuisance"]["drift"] = known
+        refuse_unfit(Readings(read_fit(given), MPI.COMM_SELF, StopSignals()))
 
 
 def test_trends_are_no_noise():
