@@ -74,9 +74,17 @@ def readings(fault, folder):
     tables = merged(BASES["fit"], {"experiment": {"0": {"data": "(absent)"}, "1": "(absent)"}})
     names = fault["text"].partition("\n")[0].replace(";", ",").split(",")
     columns = dict(zip(("time", "value"), names, strict=False)) if len(names) > 1 else {}
-    data = {"quantity": "penetration", "sd": fault.get("sd", 0.2), "columns": columns}
+    data = {"quantity": "penetration", "sd": 0.2, "columns": columns, **fault.get("data", {})}
     tables["experiment"][0]["data"] = [{**data, "file": str(folder / "z.csv")}]
     rw.fit(tables)
+
+
+def inputs(fault, folder):
+    (folder / "m.csv").write_text(fault["text"])
+    columns = dict(zip(("time", "value"), fault["text"].partition("\n")[0].split(";"), strict=True))
+    torque = {"key": "contact.friction", "quantity": "torque", "columns": columns}
+    given = {"experiment": {"0": {"input": [{**torque, "file": str(folder / "m.csv")}]}}}
+    rw.design(merged(merged(BASES["fit"], given), fault.get("set", {})))
 
 
 def laboratory(fault, folder):
@@ -102,7 +110,7 @@ def function(fault, folder):
 
 READERS = {
     reader.__name__: reader
-    for reader in (case, study, fit, readings, laboratory, measure, function)
+    for reader in (case, study, fit, readings, inputs, laboratory, measure, function)
 }
 
 

@@ -18,12 +18,12 @@ FITTED = {
     "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 200.0]},
 }
 END = 100.0
-#: mm
+#: mm; radii of profiles, on flanks that do not wear too
+RADII = np.concatenate([np.linspace(28.0, 28.4, 15), np.linspace(28.6, 31.4, 60),
+                        np.linspace(31.6, 32.0, 15)])  # fmt: skip
 SD_PENETRATION, SD_PROFILE = 2e-4, 8e-5
 #: of specimens, by which k is another, and the sd of the wear of each at its end, over the wear
 FACTORS, SHARE = (0.85, 1.0, 1.2), 0.03
-#: places in a fit file of two series of its first test
-PEN, PROF = ("experiment", 0, "data", 0), ("experiment", 0, "data", 1)
 
 
 def history(pressure, truth=TRUTH, end=END, **changes):
@@ -45,14 +45,12 @@ def penetration(result, rng=None, times=None, offset=1e-3, drift=3e-4):
     return times, values + drift * times / end + noise
 
 
-def profile(result, rng=None, level=2e-4, tilt=5e-5, body="lower"):
-    """Return radii (mm) and depths (mm) with noise, flanks, level and tilt."""
-    r = np.concatenate([np.linspace(28.0, 28.4, 15), np.linspace(28.6, 31.4, 60),
-                        np.linspace(31.6, 32.0, 15)])  # fmt: skip
-    inside = (r > 28.5) & (r < 31.5)
-    depth = np.where(inside, np.interp(r, result.line.r, result.profiles[f"wear_{body}"][-1]), 0.0)
+def profile(result, rng=None):
+    """Return radii (mm) and depths of lower (mm) with noise, flanks, level and tilt."""
+    r, worn = RADII, result.profiles["wear_lower"][-1]
+    depth = np.where((r > 28.5) & (r < 31.5), np.interp(r, result.line.r, worn), 0.0)
     noise = 0.0 if rng is None else SD_PROFILE * rng.standard_normal(len(r))
-    return r, depth + level + tilt * (r - 30.0) + noise
+    return r, depth + 2e-4 + 5e-5 * (r - 30.0) + noise
 
 
 def write_table(path, names, *columns):
@@ -100,23 +98,9 @@ def fit_tables(folder, experiments, **fit):
     """Return a fit file as a dict."""
     return {
         "case": str(folder / "case.toml"),
-        "fit": {"parameters": dict(FITTED), **fit},
+        "fit": {"parameters": copy.deepcopy(FITTED), **fit},
         "experiment": experiments,
     }
-
-
-def changed(tables, path, value):
-    """Return a fit file with one entry changed; None takes it away."""
-    found = copy.deepcopy(tables)
-    *inner, last = path
-    place = found
-    for key in inner:
-        place = place[key]
-    if value is None:
-        del place[last]
-    else:
-        place[last] = value
-    return found
 
 
 def refused(tables, **how):

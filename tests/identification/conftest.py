@@ -35,15 +35,9 @@ def laboratory(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def tables(laboratory):
-    """Function that makes a fit file of them as a dict."""
+    """Function that makes a fit file of them as a dict, of which nothing is shared."""
     folder, written = laboratory
     return lambda **settings: fit_tables(folder, copy.deepcopy(written), **settings)
-
-
-@pytest.fixture(scope="session")
-def good(tables):
-    """Their fit file as a dict."""
-    return tables()
 
 
 @pytest.fixture(scope="session")

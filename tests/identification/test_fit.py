@@ -32,11 +32,9 @@ K, P0, MU = "wear.lower.k", "wear.lower.p0", "contact.friction"
 FRICTION = {"start": 0.2, "bounds": [0.01, 1.0], "scale": "log"}
 
 
-def near(found, truth=TRUTH, most=3.0):
-    """Tell whether estimates are within some standard deviations of the truth."""
-    return all(
-        abs(p["estimate"] - truth[key]) < most * p["sd"] for key, p in found.parameters.items()
-    )
+def near(found):
+    """Tell whether estimates are within three standard deviations of the truth."""
+    return all(abs(p["estimate"] - TRUTH[key]) < 3 * p["sd"] for key, p in found.parameters.items())
 
 
 def codes(found):
@@ -81,10 +79,9 @@ def ends(one_load, comm):
     """Function that returns quantiles of the draws of a seed, from so many steps; and steps."""
 
     def ends(seed, steps=40):
-        with StopSignals() as signals:
-            readings = Readings(one_load, comm, signals)
-            readings.steps = steps
-            found = readings.lead(lambda: solve(readings, seed))
+        readings = Readings(one_load, comm, StopSignals())
+        readings.steps = steps
+        found = readings.lead(lambda: solve(readings, seed))
         return np.quantile(found.theta, [0.025, 0.5, 0.975], axis=0), found
 
     return functools.cache(ends)
@@ -96,13 +93,12 @@ def test_one_load_against_quadrature_over_true_histories(one_load, ends, comm):
     low, high = one_load.unknown_bounds
     p0 = np.linspace(low[1], high[1], 41)
     # at equal depths, so that the grid follows the ridge
-    with StopSignals() as signals:
-        readings = Readings(one_load, comm, signals)
-        depths = readings([(0, np.column_stack([np.full(41, np.log(1.3e-7)), p0]))])[0][:, -1]
-        shift = np.linspace(-0.25, 0.25, 25)
-        k = np.log(1.3e-7 * test.series[0].value[-1] / depths)[:, None] + shift
-        points = np.stack([k, np.broadcast_to(p0[:, None], k.shape)], axis=-1)
-        y = readings([(0, points.reshape(-1, 2))])[0].reshape(*k.shape, -1)
+    readings = Readings(one_load, comm, StopSignals())
+    depths = readings([(0, np.column_stack([np.full(41, np.log(1.3e-7)), p0]))])[0][:, -1]
+    shift = np.linspace(-0.25, 0.25, 25)
+    k = np.log(1.3e-7 * test.series[0].value[-1] / depths)[:, None] + shift
+    points = np.stack([k, np.broadcast_to(p0[:, None], k.shape)], axis=-1)
+    y = readings([(0, points.reshape(-1, 2))])[0].reshape(*k.shape, -1)
     squares = np.square((y - test.series[0].value) / test.series[0].sd).sum(axis=-1)
     density = np.exp(-0.5 * (squares - squares.min())) * ((k > low[0]) & (k < high[0]))
     share = np.cumsum(density.sum(axis=1)) / density.sum()

@@ -21,8 +21,7 @@ from ringwear_par.identification.readings import interpolation
 def readings_of(problem, *values, **how):
     """Return the readings (P, n) of the first test at values of the keys."""
     points = np.array([problem.unknowns(one) for one in values])
-    with StopSignals() as signals:
-        return Readings(problem, MPI.COMM_SELF, signals)([(0, points)], **how)[0]
+    return Readings(problem, MPI.COMM_SELF, StopSignals())([(0, points)], **how)[0]
 
 
 def test_readings_between_steps_do_not_round_a_kink():
@@ -122,11 +121,10 @@ def test_factors_on_rates_and_tests_alike(problem):
     other = replace(test, series=tuple(replace(s, value=s.value + 1.0) for s in test.series))
     shifted = replace(test, series=tuple(replace(s, x=0.5 * s.x) for s in test.series))
     three = replace(problem, experiments=(test, other, shifted))
-    with StopSignals() as signals:
-        readings = Readings(three, MPI.COMM_SELF, signals)
-        assert readings.same_as == [0, 0, 2]
-        both = readings([(1, np.array([[np.log(1.3e-7), 25.0]] * 2)), (0, np.zeros((0, 2)))])
-        assert (readings.count, both[0].shape) == (1, (2, test.n))
+    readings = Readings(three, MPI.COMM_SELF, StopSignals())
+    assert readings.same_as == [0, 0, 2]
+    both = readings([(1, np.array([[np.log(1.3e-7), 25.0]] * 2)), (0, np.zeros((0, 2)))])
+    assert (readings.count, both[0].shape) == (1, (2, test.n))
 
 
 def coated(folder):

@@ -1,6 +1,5 @@
 """Keys in fit.json, in the unit of the user and as specific wear rates; verdicts by draws."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +16,11 @@ ENTRY = {"estimate": 1.3e-7, "sd": 1e-9, "interval": [1.28e-7, 1.32e-7], "verdic
 DRAWS = np.random.default_rng(0).standard_normal(20_000)
 
 
-def test_keys_are_stored_in_the_users_unit(good):
-    tables = copy.deepcopy(good)
-    tables["fit"]["parameters"][K]["start"] = "1.3e-4 mm3/(N m)"
-    tables["fit"]["units"] = {P0: "bar"}
-    problem = read_fit(tables)
+def test_keys_are_stored_in_the_users_unit(tables):
+    given = tables()
+    given["fit"]["parameters"][K]["start"] = "1.3e-4 mm3/(N m)"
+    given["fit"]["units"] = {P0: "bar"}
+    problem = read_fit(given)
     (k, p0), case = problem.parameters, problem.experiments[0].case
     told = in_users_unit(k, ENTRY, case)
     (row,) = key_rows(K, {**ENTRY, "told": told})  # once, not in the case's unit too
@@ -36,12 +35,12 @@ def test_keys_are_stored_in_the_users_unit(good):
     assert specific_wear_rate(problem, K, ENTRY, np.zeros((2, 2))) is None
 
 
-def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(good):
-    tables = copy.deepcopy(good)
-    del tables["fit"]["parameters"][P0]
-    for experiment in tables["experiment"]:
+def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(tables):
+    given = tables()
+    del given["fit"]["parameters"][P0]
+    for experiment in given["experiment"]:
         experiment["set"] |= {P0: 0.0, "contact.friction": 0.1}
-    problem = read_fit(tables)
+    problem = read_fit(given)
     k = np.exp(np.log(1.3e-7) + 0.1 * DRAWS)
     entry = {**ENTRY, "estimate": np.median(k), "sd": k.std(),
              "interval": np.quantile(k, [0.025, 0.975]).tolist()}  # fmt: skip

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn import TAU, K, draws_of, fit_of, save_fit
-from laboratory import CASE, END, fit_tables, history, one_test, penetration, profile, record
+from laboratory import CASE, END, fit_tables, history, one_test, penetration, record, write_tests
 from laboratory import write_table as write
 from mpi4py import MPI
 from parts import (
@@ -88,9 +88,8 @@ def problem_of(path, **settings):
 
 
 def follower_of(problem, draws, count=20_000):
-    with StopSignals() as signals:
-        readings = Readings(problem, MPI.COMM_SELF, signals)
-        return Follower(draws, problem, readings, count, 0)
+    readings = Readings(problem, MPI.COMM_SELF, StopSignals())
+    return Follower(draws, problem, readings, count, 0)
 
 
 def answered(follower, problem, depth=None):
@@ -100,8 +99,7 @@ def answered(follower, problem, depth=None):
 def exactly(problem, k, size=0.0, width=0.6):
     """Return log k on a grid, and log p of them and of the readings, by a history each."""
     x, (test,) = np.log(k) + np.linspace(-width, width, 241), problem.experiments
-    with StopSignals() as signals:
-        (y,) = Readings(problem, MPI.COMM_SELF, signals)([(0, x[:, None])])
+    (y,) = Readings(problem, MPI.COMM_SELF, StopSignals())([(0, x[:, None])])
     given, slopes = Setting.before(test), np.gradient(y, x, axis=0)
     if size:
         worn = truth().histories["worn_volume_lower"] / truth().line.area.sum()
@@ -243,11 +241,8 @@ def test_readings_in_one_portion_or_many(folder):
 
 def test_profiles_limits_and_an_sd_that_is_fitted(folder):
     """Once they are there they narrow the interval; an sd that is fitted is integrated."""
-    r, d = profile(history(80.0, {K: TRUE_K, **P0}), np.random.default_rng(0))
-    write(folder / "d.csv", ("r_mm", "d_um"), r, 1e3 * d)
-    face = {"quantity": "profile.lower", "at": END, "file": "d.csv", "sd": 0.08,
-            "columns": {"r": "r_mm", "value": "d_um"},
-            "nuisance": {"level": {}, "tilt": {}}}  # fmt: skip
+    (test,) = write_tests(folder, (80.0,), truth={K: TRUE_K, **P0})
+    face = test["data"][1]
     limit = {"quantity": "volume.lower", "value": 3.0, "at": 50.0, "unit": "mm^3", "sd": 0.1,
              "censored": "below"}  # fmt: skip
     draws = fit_draws(folder / "fit")

@@ -1,7 +1,5 @@
 """Fit files: what they may say."""
 
-import copy
-
 import numpy as np
 import pytest
 from laboratory import CASE, refused
@@ -11,19 +9,14 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.schema import KEYS
 
-#: every key that a fit file may have
-FULL = """
+#: two tests, whose records say for themselves what they are
+RECORDS = """
 case = "case.toml"
 [fit]
 parameters."wear.lower.k"  = { start = 1e-7, bounds = [1e-9, 1e-5], scale = "log" }
 parameters."wear.lower.p0" = { start = 0.0,  bounds = [0.0, 200.0] }
 level = 0.9
 loss = "student"
-[fit.parameters."contact.friction"]
-start = 0.1
-bounds = [0.01, 1.0]
-scale = "log"
-prior = { normal = [0.1, 0.05] }
 [[experiment]]
 name = "low"
 set = { "load.pressure" = 50.0, "load.omega" = 3.54, "time.end" = 100.0 }
@@ -54,19 +47,12 @@ set = { "load.pressure" = 100.0, "load.omega" = 3.54, "time.end" = 100.0 }
   columns = { time = "t_s", value = "M_Nm" }
   units = { value = "N m" }
   sd = { relative = 0.01 }
-[compare.archard]
-set = { "wear.lower.law" = "archard" }
-parameters."wear.lower.k" = { start = 1e-8, bounds = [1e-11, 1e-5], scale = "log" }
-[design]
-criterion = "D"
-vary = { "load.pressure" = [30, 100], "time.end" = [20, 200] }
-budget = { "time.end" = 200.0, experiments = 2 }
 """
 
 
-def test_every_key(tmp_path):
+def test_a_file_and_its_records(tmp_path):
     (tmp_path / "case.toml").write_text(CASE)
-    (tmp_path / "fit.toml").write_text(FULL)
+    (tmp_path / "fit.toml").write_text(RECORDS)
     (tmp_path / "low_lvdt.csv").write_text(
         "# a rig\nt_min;z;note\n0,1;0,5;\n0,2;;gap\n"
         + "".join(f"{i / 10:g};1;\n" for i in range(3, 17))
@@ -93,7 +79,6 @@ def test_every_key(tmp_path):
     assert low.case.time.adaptive
     assert low.case.wear_lower.values["p0"] == 0.0
     assert problem.settings.level == 0.9
-    assert problem.alternatives["archard"].keys == ("wear.lower.k",)
     assert len(problem.hashes) == 3
 
 
@@ -104,23 +89,23 @@ def test_values_stay_within_bounds_without_overflow():
     assert parameter.value(parameter.unknown(3e-7)) == pytest.approx(3e-7, rel=1e-12)
 
 
-def test_defaults_are_those_of_what_is_read(good):
+def test_defaults_are_those_of_what_is_read(tables):
     """A file that says every default is read as one that says none."""
-    tables = copy.deepcopy(good) | {"design": {"vary": {"load.pressure": [1.0, 2.0]}}}
-    plain = read_fit(tables)
+    given = tables() | {"design": {"vary": {"load.pressure": [1.0, 2.0]}}}
+    plain = read_fit(given)
     for key in KEYS:
         table, _, name = key.path.rpartition(".")
         if table in ("fit", "design") and key.default is not None:
-            tables[table][name] = key.default
-    tables["fit"]["parameters"]["wear.lower.p0"]["scale"] = "linear"
-    said = read_fit(tables)
+            given[table][name] = key.default
+    given["fit"]["parameters"]["wear.lower.p0"]["scale"] = "linear"
+    said = read_fit(given)
     assert said.settings == plain.settings
     assert said.design == plain.design
     assert said.parameters == plain.parameters
 
 
-def test_starts_and_ranges_may_have_units(good):
-    given = copy.deepcopy(good)
+def test_starts_and_ranges_may_have_units(tables):
+    given = tables()
     given["fit"]["parameters"] = {
         "wear.lower.k": {
             "start": "1e-4 mm3/(N m)", "bounds": ["1e-9 1/MPa", 1e-5], "scale": "log",
@@ -156,9 +141,9 @@ USER = {
         ("wear.upper.parameters.k", USER, {"wear.upper.parameters": {"k": 1e-8, "p1": 10.0}}),
     ],
 )
-def test_a_law_that_set_brings_in_may_be_fitted(key, brought, table, good):
+def test_a_law_that_set_brings_in_may_be_fitted(key, brought, table, tables):
     """Its number has no value in the case, which begins with the start."""
-    given = copy.deepcopy(good)
+    given = tables()
     given["fit"]["parameters"][key] = {"start": 3e-8, "bounds": [1e-9, 1e-5], "scale": "log"}
     for test in given["experiment"]:
         test["set"] |= brought
@@ -170,8 +155,8 @@ def test_a_law_that_set_brings_in_may_be_fitted(key, brought, table, good):
     assert f"{key}: is set, and {key} is fitted" in fault
 
 
-def test_faults_of_the_case_file_are_told_of_it_once(good, tmp_path):
+def test_faults_of_the_case_file_are_told_of_it_once(tables, tmp_path):
     path = tmp_path / "wrong.toml"
     path.write_text(CASE.replace("[contact]", "[contact]\nfrction = 0.2"))
-    (fault,) = refused(good | {"case": str(path)})
+    (fault,) = refused(tables() | {"case": str(path)})
     assert fault.startswith(f"{path}: contact.frction: unknown key")

@@ -1,6 +1,5 @@
 """Next tests: what they would tell in closed form and by brute force, and what is said of it."""
 
-import copy
 import itertools
 import json
 from dataclasses import replace
@@ -8,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn import draws_of, fit_of, save_fit
-from laboratory import END, TRUTH, fit_tables, one_test, write_tests
+from laboratory import END, TRUTH, fit_tables, one_test
 from parts import StopSignals, toml_text
 
 import ringwear_par as rw
@@ -26,21 +25,14 @@ WARM = {"time": {"start": "25 s", "bounds": ["5 s", "200 s"]}}
 SD_MASS, SD_PRIOR = 2e-5, 0.2
 
 
-@pytest.fixture(scope="module")
-def laboratory(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("design")
-    return folder, write_tests(folder, seed=None)
-
-
 @pytest.fixture
-def tables(laboratory):
+def at_truth(tables):
     """A function that makes a fit file at the truth, with a design."""
 
     def made(vary=VARY, criterion="D", **budget):
-        folder, written = laboratory
-        found = fit_tables(folder, copy.deepcopy(written))
-        entries = found["fit"]["parameters"].items()
-        found["fit"]["parameters"] = {k: {**entry, "start": TRUTH[k]} for k, entry in entries}
+        found = tables()
+        for key, entry in found["fit"]["parameters"].items():
+            entry["start"] = TRUTH[key]
         budget = budget or {"experiments": 2}
         return found | {"design": {"vary": vary, "budget": budget, "criterion": criterion}}
 
@@ -93,9 +85,9 @@ def test_weighings_in_closed_form(weighings, comm, count, scatter, size):
     ("count", "criterion", "warm"),
     [(1, "D", True), (2, "A", False), (3, "D", False), (3, "A", False)],
 )
-def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
+def test_the_best_tests_by_brute_force(at_truth, comm, count, criterion, warm):
     """Of all combinations, by Jacobians and covariances of readings with all nuisances."""
-    source = tables(criterion=criterion, experiments=count)
+    source = at_truth(criterion=criterion, experiments=count)
     if warm:  # the rig grows
         source["experiment"][0]["data"][0]["nuisance"]["thermal"] = WARM
     found, problem = rw.design(source, comm), read_fit(source)
@@ -123,9 +115,9 @@ def test_the_best_tests_by_brute_force(tables, comm, count, criterion, warm):
     assert [*found.designs[0]["sd"].values()] == pytest.approx(best, rel=2e-3)
 
 
-def test_an_earlier_fit_counts(tables, comm, tmp_path):
+def test_an_earlier_fit_counts(at_truth, comm, tmp_path):
     """Its draws are what is known today, the scatter too, of which the file says nothing."""
-    source = tables(experiments=1)
+    source = at_truth(experiments=1)
     case = read_fit(source).experiments[0].case
     draws = draws_of(case, p0=np.linspace(20.0, 30.0, 200), tau=0.2)
     folder = save_fit(tmp_path / "fit", fit_of(draws))
@@ -144,19 +136,19 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
         rw.design(source, comm, after=folder)
 
 
-def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
+def test_tests_that_cannot_be_computed_are_left_out(at_truth, comm):
     """Half of the ring would be worn off by the longest ones."""
-    found = rw.design(tables({"time.end": [100.0, 500000.0]}, experiments=1), comm)
+    found = rw.design(at_truth({"time.end": [100.0, 500000.0]}, experiments=1), comm)
     assert found.content["failed"] > 0
     assert found.content["failed"] + found.content["candidates"] == 10
     assert "worn off lower" in found.summary()
     with pytest.raises(rw.ComputationError, match="too few"):
-        rw.design(tables({"time.end": [500000.0, 600000.0]}, experiments=1), comm)
+        rw.design(at_truth({"time.end": [500000.0, 600000.0]}, experiments=1), comm)
 
 
-def test_candidates_keep_to_their_ranges(tables):
+def test_candidates_keep_to_their_ranges(at_truth):
     vary = {"load.pressure": [40.0, 80.0], "time.end": [20.0, 100.0], "load.omega": [1.0, 3.0]}
-    problem = read_fit(tables(vary, **{"time.end": 90.0}))
+    problem = read_fit(at_truth(vary, **{"time.end": 90.0}))
     every = candidates(problem.design, problem.experiments[0])
     assert len({(*test.changes.items(),) for test in every}) == len(every) == 3 * 15 * 8
     for test in every:
@@ -166,9 +158,9 @@ def test_candidates_keep_to_their_ranges(tables):
         assert record.n == pytest.approx(50 * end / END, abs=1)
 
 
-def test_the_folder(tables, laboratory, tmp_path, comm, capsys):
+def test_the_folder(at_truth, laboratory, tmp_path, comm, capsys):
     """Loads are said in the units of the ranges."""
-    source, folder = tables({"load.pressure": ["400 bar", "960 bar"]}), tmp_path / "next"
+    source, folder = at_truth({"load.pressure": ["400 bar", "960 bar"]}), tmp_path / "next"
     file = laboratory[0] / "fit.toml"
     file.write_text(toml_text(source))
     run_design(file, folder, comm)
