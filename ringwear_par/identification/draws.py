@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -24,10 +24,12 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     body_of_wear,
 )
-from ringwear_par.identification.solution import Solution
 from ringwear_par.results.files import reading, write_variable
 from ringwear_par.results.variables import SOFTWARE, Variable, axis
 from ringwear_par.schedules import mean, mean_of_product
+
+if TYPE_CHECKING:
+    from ringwear_par.identification.solution import Solution
 
 #: what draws may be for, besides the name of a specimen
 NEXT, MATERIAL = "next specimen", "material"
@@ -106,7 +108,7 @@ class Draws:
         return replace(problem, parameters=tuple(parameters))
 
 
-def draws_of(solution: Solution, material: FloatArray) -> Draws:
+def draws_of(solution: "Solution", material: FloatArray) -> Draws:
     """Return the draws of a solution, with values (s, m) of the material."""
     problem, posterior, theta = solution.problem, solution.posterior, solution.theta
     keys, tests = problem.keys, problem.experiments
