@@ -140,14 +140,13 @@ class Laboratory:
             weights = (1.0 / np.maximum(1.0, most / FAR))[np.isfinite(y).all(axis=1)]
             self.emulators[i] = emulate(self.box, x, y, sd, weights, GOOD)[0]
 
-    def __call__(
-        self, wanted: Wanted, experiments: Any = None, steps: int = 0, factors: Any = (1.0,)
-    ) -> list[FloatArray]:
+    def __call__(self, wanted: Wanted, **how: Any) -> list[FloatArray]:
         """Return readings (P, n) of each test at unknowns (P, m), as ``Readings`` does."""
-        blocks, tests = [], experiments or self.problem.experiments
+        tests = how.get("experiments") or self.problem.experiments
+        blocks, (factor, *_) = [], how.get("factors", (1.0,))
         for test, x in wanted:
             beyond = (x < self.box.low - 1e-9) | (x > self.box.high + 1e-9)
-            y = self.emulators[self.same_as[test]](x + np.log(factors[0]) * np.eye(x.shape[1])[0])
+            y = self.emulators[self.same_as[test]](x + np.log(factor) * np.eye(x.shape[1])[0])
             y[beyond.any(axis=1)] = np.nan
             blocks.append(y[:, : tests[test].n])
         return blocks
@@ -169,10 +168,9 @@ class Laboratory:
                 for nuisance in s.linear_nuisances:
                     warm, (mean, sd) = nuisance is WARM, nuisance.prior or (0.0, FREE)
                     times = np.array([max(random.normal(*TIME), 100.0) if warm else 1.0])
-                    added = np.ravel(column(nuisance, s, test.case, times))
                     z = random.standard_normal()
                     size = -2.0 * FREE * np.exp(0.3 * z) if warm else mean + sd * z
-                    values = values + size * added
+                    values = values + size * np.ravel(column(nuisance, s, test.case, times))
                 read.append(replace(s, value=values + s.sd * random.standard_normal(s.n)))
             tests.append(replace(test, series=tuple(read)))
         self.problem = replace(self.problem, experiments=tuple(tests))
