@@ -80,7 +80,7 @@ class Solution:
     reason: str
 
 
-def solve(readings: Readings, seed: int = 0, wanted: float = 4000.0) -> Solution:
+def solve(readings: Readings, seed: int = 0, wanted: float = 10000.0) -> Solution:
     """Return draws of the posterior of ``readings.problem``. On the first rank, within ``lead``.
 
     Parameters
