@@ -171,7 +171,7 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     the first rank, within ``readings.lead``.
     """
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
-    _, slopes = readings.with_slopes(before.draws)
+    slopes = readings.slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
     expected = [noise.expected_share for noise in problem.settings.process.values()]
     of_sizes = np.sqrt(before.sizes / depths)
