@@ -20,8 +20,8 @@ _FREEDOM, _SCALE = (3.0, 6.0), (1.5, 0.9)
 _CLOSE, _LEVERAGE = 1e-3, 0.9
 #: points at a time, which fit into a cache; share of points that must count for another density
 _POINTS, _COUNT = 4096, 0.2
-#: most of these parts; most draws that are kept
-_MOST, _KEPT = 32, 2**15
+#: most of these parts; most draws that are kept, and points that are wider spread
+_MOST, _KEPT, _SPREAD = 32, 2**15, 2048
 
 #: log prior and log likelihood (s,) at points (s, d); where either is -inf they do not count
 Density = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -34,6 +34,8 @@ class Drawn(NamedTuple):
     draws: FloatArray
     #: (s,) log p
     logs: FloatArray
+    #: (p, d) points that are wider spread, by the root of their weights
+    spread: FloatArray
     #: how many independent draws they are worth
     effective: float
     #: logarithm of the integral of the density, and its error
@@ -150,7 +152,8 @@ def draw(
     integral = float(logsumexp(logs - old) - np.log(len(logs)))
     error = float(weights.std() / weights.mean() / np.sqrt(len(weights)))
     rows = random.permutation(_chosen(weights, min(len(draws), _KEPT), random))
-    return Drawn(draws[rows], logs[rows], effective, integral, error)
+    spread = random.permutation(draws[_chosen(np.sqrt(weights), _SPREAD, random)])
+    return Drawn(draws[rows], logs[rows], spread, effective, integral, error)
 
 
 def _cast(
