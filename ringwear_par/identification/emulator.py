@@ -15,6 +15,8 @@ from scipy.stats import qmc
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 
+#: number of points that fill a box, most of which may be beyond the bounds
+_SOBOL = 8192
 #: highest degree, and most terms over the number of points
 _MOST_DEGREE, _MOST_TERMS = 14, 0.6
 #: modes are kept whose rms is that many sd of the readings, or this share of the largest
@@ -65,13 +67,9 @@ class Box:
         There polynomials err most (Chebyshev). Of a box that is mostly beyond the bounds there may
         be fewer.
         """
-        points, sampler = np.zeros((0, len(self.low))), qmc.Sobol(len(self.low), seed=0)
-        for _ in range(64):
-            x = self.centre - np.cos(np.pi * sampler.random(128)) @ self.axes.T
-            points = np.concatenate([points, x[((x >= self.low) & (x <= self.high)).all(axis=1)]])
-            if len(points) >= count:
-                break
-        return points[:count]
+        fractions = qmc.Sobol(len(self.low), seed=0).random(_SOBOL)
+        x = self.centre - np.cos(np.pi * fractions) @ self.axes.T
+        return x[((x >= self.low) & (x <= self.high)).all(axis=1)][:count]
 
     def polynomials(self, x: FloatArray, degree: int) -> FloatArray:
         """Return all products (..., p) of Legendre polynomials up to a total degree."""

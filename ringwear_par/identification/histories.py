@@ -6,8 +6,6 @@ alone, so that ranks cannot part ways; the others serve it until it is done.
 """
 
 import itertools
-import math
-import pickle
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import closing, suppress
 from typing import NamedTuple, TypeVar
@@ -23,27 +21,18 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.readings import read
-from ringwear_par.parallel import together
+from ringwear_par.parallel import as_on_first_rank, on_first_rank, together
 from ringwear_par.results.progress import Progress, StopSignals, name_of
 from ringwear_par.studies.many import computed
 from ringwear_par.studies.variations import split_key
 
 T = TypeVar("T")
-#: test and values of its keys
-Entry = tuple[int, tuple[float, ...]]
-#: readings (n,), or why there is no history
-Row = FloatArray | str
 #: number of steps of a test with constant conditions
 STEPS = 40
 #: factor on the number of steps, equal ones, where layers may be worn through
 _EQUAL = 4
-#: share of the steps that a piece between two bends of schedules has at least; fewest steps of any
-#: piece
-_SHARE, _FEWEST = 0.3, 3
-#: number of pieces above which each short one has one step
-_MANY = 100
-#: shares of the test: its first step, half of one after a bend; a piece that is short
-_FIRST, _SHORT = 2e-4, 1e-2
+#: share of the test that its first step takes, and the first one after a bend of a schedule
+_FIRST = 2e-4
 #: share of the test below which the distance of two times counts as none
 _CLOSE = 1e-7
 #: share of its bounds by which a key is moved for a derivative
@@ -54,7 +43,7 @@ class _Block(NamedTuple):
     """Histories that are computed by all ranks together."""
 
     #: tests by number, and values of the keys
-    entries: Sequence[Entry]
+    entries: Sequence[tuple[int, tuple[float, ...]]]
     experiments: Sequence[Experiment]
     #: of a test; and factors on all rates of wear of lower and upper
     steps: int
@@ -93,22 +82,20 @@ class Readings:
 
         Collective. Raises StoppedError by a signal, and what the job or any rank raises.
         """
-        comm, content = self._comm, b""
-        with together(comm):
-            if comm.rank == 0:
-                try:
-                    with closing(Progress()) as self._progress:
-                        content = pickle.dumps(job(), pickle.HIGHEST_PROTOCOL)
-                finally:
-                    self._progress = None
-                    comm.bcast(None)
-            else:
-                while (request := comm.bcast(None)) is not None:
-                    with suppress(Exception):  # the first rank has it too, and ends the job
-                        self._shared(request)
-        with together(comm):
-            answer: T = pickle.loads(comm.bcast(content))
-        return answer
+        comm = self._comm
+        while comm.rank and (block := comm.bcast(None)) is not None:
+            with suppress(Exception):  # the first rank has it too, and ends the job
+                self._shared(block)
+
+        def leading() -> T:
+            try:
+                with closing(Progress()) as self._progress:
+                    return job()
+            finally:
+                self._progress = None
+                as_on_first_rank(comm, None)
+
+        return on_first_rank(comm, leading)
 
     def tell(self, state: str) -> None:
         """Tell the user, now and then, what the job is at. On the first rank."""
@@ -136,78 +123,72 @@ class Readings:
         """
         tests = self.problem.experiments if experiments is None else experiments
         same_as = _same_as(tests)
-        blocks = [
+        asked = [
             [(same_as[test], tuple(values)) for values in self.problem.values(points).tolist()]
             for test, points in wanted
         ]
         # equal bodies together, whose operator is then assembled once
-        entries = sorted({*itertools.chain(*blocks)}, key=lambda entry: (entry[1], entry[0]))
-        request = _Block(entries, tests, steps or self.steps, factors)
-        if self._comm.size > 1:
-            self._comm.bcast(request)
-        rows = dict(zip(entries, self._shared(request), strict=True))
-        reasons = [row for row in rows.values() if isinstance(row, str)]
+        entries = sorted({*itertools.chain(*asked)}, key=lambda entry: (entry[1], entry[0]))
+        block = _Block(entries, tests, steps or self.steps, factors)
+        rows, reasons = self._shared(as_on_first_rank(self._comm, block))
         self.count, self.failed = self.count + len(rows), self.failed + len(reasons)
         self.reason = self.reason or next(iter(reasons), "")
-        found = []
-        for (test, _), block in zip(wanted, blocks, strict=True):
-            none = np.full(tests[test].n, np.nan)
-            of_block = [none if isinstance(row := rows[entry], str) else row for entry in block]
-            found.append(np.array(of_block).reshape(len(block), len(none)))
-        return found
+        places = {entry: row for row, entry in enumerate(entries)}
+        return [
+            np.array([rows[places[entry]] for entry in of_test]).reshape(-1, tests[test].n)
+            for (test, _), of_test in zip(wanted, asked, strict=True)
+        ]
 
-    def _shared(self, block: _Block) -> list[Row]:
-        """Return the rows of all ranks on the first one, each of which computes a part. Collective.
+    def _shared(self, block: _Block) -> tuple[list[FloatArray], list[str]]:
+        """Return the readings of a block, and why some are NaN, on the first rank. Collective.
 
-        Raises an error of any rank on all, StoppedError on the first.
+        Each rank computes a part. Raises an error of any rank on all, StoppedError on the first.
         """
-        comm, rows = self._comm, list[Row]()
+        comm, rows, reasons = self._comm, list[FloatArray](), list[str]()
         ends = np.linspace(0, len(block.entries), comm.size + 1).astype(int)
         mine = block.entries[ends[comm.rank] : ends[comm.rank + 1]]
         with together(comm):
             if mine and not self._signals.received:
-                rows = self._computed(block._replace(entries=mine))
-        gathered = comm.gather((rows, self._signals.received)) or []
-        if received := max((number for _, number in gathered), default=0):
+                rows, reasons = self._computed(block._replace(entries=mine))
+        parts = comm.gather((rows, reasons, self._signals.received)) or []
+        if received := max((number for *_, number in parts), default=0):
             raise StoppedError(f"stopped by {name_of(received)}")
-        return [row for part, _ in gathered for row in part]
+        return [row for of, _, _ in parts for row in of], [why for _, of, _ in parts for why in of]
 
-    def _computed(self, block: _Block) -> list[Row]:
-        """Return the readings of a block, by this rank alone."""
-        entries, experiments, steps, factors = block
-        owners = np.array([test for test, _ in entries])
-        tests = np.unique(owners).tolist()
-        grids = {test: step_times(experiments[test], steps) for test in tests}
-        by_entry: dict[int, Case | InputError] = {}
-        for test in tests:
-            numbers = np.flatnonzero(owners == test).tolist()
-            points = np.array([entries[i][1] for i in numbers])
-            found = cases_at(experiments[test].case, self.problem.keys, points)
-            by_entry |= zip(numbers, found, strict=True)
-        cases = [by_entry[i] for i in range(len(entries))]
-        paces = [np.repeat(np.array([factors]).T, len(grids[test]), axis=1) for test in owners]
+    def _computed(self, block: _Block) -> tuple[list[FloatArray], list[str]]:
+        """Return the readings of a block, and why some are NaN, by this rank alone."""
+        tests, values = zip(*block.entries, strict=True)
+        owners, experiments = np.array(tests), block.experiments
+        grids, made = {}, {}
+        for test in {*tests}:
+            grids[test] = step_times(experiments[test], block.steps)
+            points = np.array(values)[owners == test]
+            made[test] = iter(cases_at(experiments[test].case, self.problem.keys, points))
+        cases = [next(made[test]) for test in tests]
         parts, failed = computed(
-            cases, self._pairs, step_times=[grids[test].tolist() for test in owners],
-            paces=None if factors == (1.0, 1.0) else paces,
+            cases, self._pairs, step_times=[grids[test].tolist() for test in tests],
+            paces=[np.outer(block.factors, np.ones(len(grids[test]))) for test in tests],
         )  # fmt: skip
-        rows: list[Row] = [reason_of(failed[i]) if i in failed else "" for i in range(len(cases))]
+        rows = [np.full(experiments[test].n, np.nan) for test in tests]
+        reasons = [*map(reason_of, failed.values())]
         for part in parts:
-            columns, of_part = part.recorder.columns(part.failures), np.array(part.numbers)
-            for number, reason in zip(part.numbers, columns.reason, strict=True):
-                rows[number] = reason
-            done = np.flatnonzero(np.array(columns.status) == "done")
-            for test in np.unique(owners[of_part[done]]).tolist():
-                places = done[owners[of_part[done]] == test]
-                at = columns.offsets[places, None] + np.arange(len(grids[test]) + 1)
-                data = {name: values[at] for name, values in columns.data.items()}
-                numbers = of_part[places].tolist()
-                readings = read(experiments[test], [cases[i] for i in numbers], data)
-                for number, row in zip(numbers, readings, strict=True):
+            columns = part.recorder.columns(part.failures)
+            reasons += [*map(reason_of, part.failures.values())]
+            done = np.array([i for i in range(len(part.numbers)) if i not in part.failures], int)
+            numbers = np.array(part.numbers)[done]
+            for test in {*owners[numbers].tolist()}:
+                of_test = owners[numbers] == test
+                starts = columns.offsets[done[of_test], None]
+                at = starts + np.arange(len(grids[test]) + 1)
+                data = {name: column[at] for name, column in columns.data.items()}
+                chosen = numbers[of_test].tolist()
+                readings = read(experiments[test], [cases[i] for i in chosen], data)
+                for number, row in zip(chosen, readings, strict=True):
                     rows[number] = row
-        return rows
+        return rows, reasons
 
-    def with_slopes(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return readings (d, n) of each test at unknowns (d, m), and derivatives (n, d, m).
+    def slopes(self, x: FloatArray) -> list[FloatArray]:
+        """Return derivatives (n, d, m) of the readings of each test at unknowns (d, m).
 
         By differences within the bounds, of one block of histories; NaN where there is no history.
         On the first rank, within ``lead``.
@@ -215,13 +196,11 @@ class Readings:
         low, high = self.problem.unknown_bounds
         step = _DIFFERENCE * (high - low)
         step = np.where(x + step > high, -step, step)
-        moved = x[:, None] + step[:, None] * np.eye(len(low))
-        points = np.concatenate([x[:, None], moved], axis=1)
-        every = points.reshape(-1, len(low))
-        blocks = self([(i, every) for i in range(len(self.problem.experiments))])
-        rows = [y.reshape(*points.shape[:2], y.shape[1]) for y in blocks]
-        slopes = [np.moveaxis((y[:, 1:] - y[:, :1]) / step[..., None], 2, 0) for y in rows]
-        return [y[:, 0] for y in rows], slopes
+        moved = x[:, None] + step[:, None] * np.eye(1 + len(low), len(low), -1)
+        points = moved.reshape(-1, len(low))
+        blocks = self([(i, points) for i in range(len(self.problem.experiments))])
+        rows = [y.reshape(*moved.shape[:2], -1) for y in blocks]
+        return [np.moveaxis((y[:, 1:] - y[:, :1]) / step[..., None], 2, 0) for y in rows]
 
 
 def _same_as(tests: Sequence[Experiment]) -> list[int]:
@@ -242,43 +221,28 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
     """Return the ends of steps of a test, s; about ``steps`` where its schedules have no bends.
 
     After the start, and after every bend of a schedule, they grow geometrically: pressures change
-    quickly there. Profiles are read at ends of steps. Pieces between bends share the steps of a
-    test, but for a number that each needs. Where a body with layers wears, steps stay short to the
-    end: rates change at once as a layer is worn through, whenever that is.
+    quickly there. Profiles are read at ends of steps. Pieces between bends have steps by the root
+    of their length. Where a body with layers wears, steps stay short to the end: rates change at
+    once as a layer is worn through, whenever that is.
     """
-    case = experiment.case
-    end = case.time.end
-    cuts = list(itertools.pairwise((0.0, *case.breakpoints, end)))
-    long = sum(high - low > _SHORT * end for low, high in cuts)
+    case, end = experiment.case, experiment.case.time.end
     layered = any(len(laws) > 1 for laws in case.laws)  # readings have kinks
     pieces = []
-    for low, high in cuts:
+    for low, high in itertools.pairwise((0.0, *case.breakpoints, end)):
         length = high - low
-        if length > _SHORT * end:
-            proportional = round(steps * (0.4 / math.sqrt(long) + 0.6 * length / end))
-            count = max(_FEWEST, round(_SHARE * steps), proportional)
-            first = min((_FIRST if long == 1 else 2.0 * _FIRST) * end, length / count)
-            grown = np.geomspace(first, length, count)
-            pieces.append(low + (_limited(grown, _EQUAL * count) if layered else grown))
-        else:
-            count = max(_FEWEST, steps // 10) if len(cuts) <= _MANY else max(1, steps // STEPS)
-            pieces.append(np.linspace(low, high, 1 + count)[1:])
-    fixed = {*case.breakpoints, end, *(s.at for s in experiment.series if s.at is not None)}
-    times: list[float] = []
-    for time in sorted({*np.concatenate(pieces).tolist(), *fixed}):
-        if times and time - times[-1] <= _CLOSE * end:
-            times[-1] = time if time in fixed else times[-1]
-        else:
-            times.append(time)
-    times[-1] = end
-    return np.array(times)
-
-
-def _limited(grown: FloatArray, count: int) -> FloatArray:
-    """Return ends of growing steps until they are as long as ``count`` equal ones, then these."""
-    equal = np.linspace(0.0, grown[-1], 1 + count)[1:]
-    early = grown[np.diff(grown, prepend=0.0) < equal[0]]
-    return np.concatenate([early, equal[equal > early.max(initial=0.0)]])
+        count = max(1, round(steps * np.sqrt(length / end)))
+        grown = np.geomspace(length, min(_FIRST * end, length / count), count)[::-1]
+        if layered:  # until they are as long as equal ones, then these
+            equal = np.linspace(0.0, length, 1 + _EQUAL * count)[1:]
+            early = grown[np.diff(grown, prepend=0.0) < equal[0]]
+            grown = np.concatenate([early, equal[equal > early.max(initial=0.0)]])
+        pieces.append(low + grown)
+    times = np.array([*case.breakpoints, end])
+    profiles = [np.array([s.at]) for s in experiment.series if s.at is not None]
+    for more in (*profiles, np.concatenate(pieces)):
+        distance = np.abs(np.subtract.outer(more, times)).min(axis=1)
+        times = np.union1d(times, more[distance > _CLOSE * end])
+    return times
 
 
 def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | InputError]:

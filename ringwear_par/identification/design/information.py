@@ -164,7 +164,7 @@ def informations(readings: Readings, before: Before) -> FloatArray:
     the first rank, within ``readings.lead``.
     """
     problem, tests, (d, m) = readings.problem, readings.problem.experiments, before.draws.shape
-    _, slopes = readings.with_slopes(before.draws)
+    slopes = readings.slopes(before.draws)
     clocks, depths = random_wear(readings, np.tile(before.draws[d // 2], (len(tests), 1)))
     shares = np.array([
         noise.share or 0.5 * noise.scale if noise.size is None else np.sqrt(noise.size / depth)
