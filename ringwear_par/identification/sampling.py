@@ -9,19 +9,33 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
+from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
 
-#: highest degree of the polynomials of a ridge
-_DEGREE = 4
+#: densities of which points come, as many of each: degree of their polynomials, which may be wrong
+#: where it is high and there are hardly any draws; and whether these are of the draws' ranks, by
+#: which a ridge along two axes is smooth
+_KINDS = ((2, False), (4, False), (4, True))
+#: ranks of draws, from the least to the largest
+_RANKS = np.linspace(-1.0, 1.0, 65)
 #: degrees of freedom and scale over the rms of draws, of entries that may be bent and of others
 _FREEDOM, _SCALE = (3.0, 6.0), (1.5, 0.9)
+#: how far polynomials go on beyond the range of draws, over half of it
+_BEYOND = 1.25
 #: least distance of a draw from where it is expected, over the rms one; largest leverage
 _CLOSE, _LEVERAGE = 1e-3, 0.9
-#: points at a time, which fit into a cache; share of points that must count for another density
-_POINTS, _COUNT = 4096, 0.2
-#: most of these parts; most draws that are kept, and points that are wider spread
-_MOST, _KEPT, _SPREAD = 32, 2**15, 2048
+#: points at a time, of all kinds; share of them that must count for another density, and how many
+#: for each entry
+_POINTS, _COUNT, _FEW = 4098, 0.2, 15
+#: times that draws of a density tell where its points are to be, and points for each draw wanted
+_TIMES, _EACH = 2, 4
+#: most points, and most draws that are kept
+_MOST, _KEPT = 2**17, 20_000
+#: probability beyond each end of an interval; error of an end, in sd, of one draw of a normal one
+_TAIL = 0.025
+_NEAR, _FAR = norm.ppf([0.5 * _TAIL, 1.5 * _TAIL])
+_NORMAL_END = float(np.sqrt((1.0 - _TAIL) / _TAIL) * (_FAR - _NEAR))
 
 #: log prior and log likelihood (s,) at points (s, d); where either is -inf they do not count
 Density = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -34,9 +48,7 @@ class Drawn(NamedTuple):
     draws: FloatArray
     #: (s,) log p
     logs: FloatArray
-    #: (p, d) points that are wider spread, by the root of their weights
-    spread: FloatArray
-    #: how many independent draws they are worth
+    #: how many independent draws the ends of their intervals are worth
     effective: float
     #: logarithm of the integral of the density, and its error
     log_integral: float
@@ -53,13 +65,16 @@ class _Ridge:
     ----------
     bent : number of first entries, of which polynomials have powers and products; in the others,
         which may be many, they are linear.
+    degree, ranked : of polynomials, and whether they are of ranks of draws.
     """
 
-    def __init__(self, draws: FloatArray, bent: int) -> None:
+    def __init__(self, draws: FloatArray, bent: int, degree: int, ranked: bool) -> None:
         rows, counts = np.unique(draws, axis=0, return_counts=True)
         if len(rows) <= rows.shape[1]:
             raise np.linalg.LinAlgError("too few draws")
-        self._bent, self._low, self._high = bent, rows.min(axis=0), rows.max(axis=0)
+        self._low, self._high = rows.min(axis=0), rows.max(axis=0)
+        self._ranks = np.quantile(rows, 0.5 + 0.5 * _RANKS, axis=0).T if ranked else None
+        self._bent, self._degree = bent, degree
         others = (np.arange(rows.shape[1]) >= bent).astype(int)
         self._freedom = np.array(_FREEDOM)[others]
         #: coefficients of the mean of each entry, and of the logarithm of its scale
@@ -71,7 +86,8 @@ class _Ridge:
             # from where the others expect each draw
             left_out = 1.0 - np.minimum(np.square(q).sum(axis=1), _LEVERAGE)
             rest = (x - q @ along / roots) / left_out
-            logs = np.log(np.maximum(np.abs(rest), _CLOSE * rest.std()))
+            rms = np.sqrt(np.average(rest**2, weights=counts))
+            logs = np.log(np.abs(rest) + _CLOSE * rms)
             scale = np.linalg.lstsq(lines * roots[:, None], logs * roots, rcond=None)[0]
             squares = np.square(rest / np.exp(lines @ scale))
             scale[0] += np.log(_SCALE[other] * np.sqrt(np.average(squares, weights=counts)))
@@ -80,17 +96,19 @@ class _Ridge:
     def _terms(self, points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield terms (s, p) of the mean of each entry, and of its scale, by those before it.
 
-        A column of points is not looked at before its own terms have been used. Polynomials are
-        constant beyond the range of draws.
+        A column of points is not looked at before its own terms have been used.
         """
-        terms, degrees = np.ones((len(points), 1)), np.zeros(1, dtype=int)
+        most, terms, degrees = self._degree, np.ones((len(points), 1)), np.zeros(1, dtype=int)
         for j, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
             yield terms, terms[:, degrees <= 1]
-            t = np.clip((2.0 * points[:, [j]] - low - high) / (high - low), -1.0, 1.0)
-            own = 1 if j < self._bent else _DEGREE  # an entry alone has the highest degree
+            if self._ranks is None:
+                t = np.clip((2.0 * points[:, [j]] - low - high) / (high - low), -_BEYOND, _BEYOND)
+            else:
+                t = np.interp(points[:, [j]], self._ranks[j], _RANKS)
+            own = 1 if j < self._bent else most  # an entry alone has the highest degree
             before, degrees_before = terms, degrees
-            for power in range(1, 1 + _DEGREE // own):
-                some = degrees_before + own * power <= _DEGREE
+            for power in range(1, 1 + most // own):
+                some = degrees_before + own * power <= most
                 terms = np.hstack([terms, before[:, some] * t**power])
                 degrees = np.append(degrees, degrees_before[some] + own * power)
 
@@ -117,6 +135,25 @@ class _Ridge:
         return zip(points.T, self._entries, self._terms(points), strict=True)
 
 
+class Nearby:
+    """Densities like that of draws (s, d), of several kinds, as many points of each.
+
+    Parameters
+    ----------
+    bent : see ``_Ridge``.
+    """
+
+    def __init__(self, draws: FloatArray, bent: int) -> None:
+        self._each = [_Ridge(draws, bent, *kind) for kind in _KINDS]
+
+    def points(self, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return some points (s, d), and the logarithm of the density there."""
+        count = _POINTS // len(_KINDS)
+        points = np.concatenate([one.points(count, random) for one in self._each])
+        logs = logsumexp([one(points) for one in self._each], axis=0)
+        return points, logs - np.log(len(_KINDS))
+
+
 def draw(
     density: Density,
     draws: FloatArray,
@@ -129,7 +166,7 @@ def draw(
     """Return draws of a density, its likelihood to a power.
 
     They come from draws of another density in steps, after each of which a part still counts;
-    LinAlgError where hardly any does. At the end points are twice as many, until enough count.
+    LinAlgError where hardly any does.
 
     Parameters
     ----------
@@ -138,33 +175,59 @@ def draw(
     bent : see ``_Ridge``.
     want : effective number.
     """
-    cast, reached, parts = [draws, *density(draws), old], 0.0, 1
+    cast, reached, times = [draws, *density(draws), old], 0.0, 0
+    least = many_for(draws.shape[1])
+    nearby: Nearby | None = None
+    enough = max(least, round(_EACH * want / _POINTS))
+    while times < _TIMES:
+        raised, weights = _raised(cast, reached, power)
+        few = 1.0 / (weights @ weights) < _FEW * draws.shape[1]
+        if nearby is not None and few and len(weights) < _MOST:
+            cast = _doubled(cast, density, nearby, random)
+            continue
+        reached = raised
+        nearby = Nearby(cast[0][_chosen(weights, len(weights), random)], bent)
+        cast = _cast(density, nearby, enough if reached == power else least, random)
+        times += reached == power
+    assert nearby is not None
     while True:
-        reached, weights = _raised(cast, reached, power)
-        effective = _effective(weights)
-        if parts > 1 and (effective >= want or parts >= _MOST):
+        _, weights = _raised(cast, power, power)
+        effective, worst = worth(cast[0], weights)
+        if effective >= want or len(weights) >= _MOST:
             break
-        ridge = _Ridge(cast[0][_chosen(weights, len(weights), random)], bent)
-        parts = 2 * parts if reached == power else 1
-        cast = _cast(density, ridge, parts, random)
+        cast = _doubled(cast, density, nearby, random)
     draws, prior, likelihood, old = cast
     logs = prior + power * likelihood
     integral = float(logsumexp(logs - old) - np.log(len(logs)))
     error = float(weights.std() / weights.mean() / np.sqrt(len(weights)))
-    rows = random.permutation(_chosen(weights, min(len(draws), _KEPT), random))
-    spread = random.permutation(draws[_chosen(np.sqrt(weights), _SPREAD, random)])
-    return Drawn(draws[rows], logs[rows], spread, effective, integral, error)
+    # in the order of the entry whose ends are known worst, so that they stay where they are
+    order = np.argsort(draws[:, worst])
+    rows = random.permutation(order[_chosen(weights[order], min(len(draws), _KEPT), random)])
+    return Drawn(draws[rows], logs[rows], effective, integral, error)
+
+
+def many_for(entries: int) -> int:
+    """Return how many times as many points are needed for so many entries as for a few."""
+    return max(1, (entries // 10) ** 2)
 
 
 def _cast(
-    density: Density, ridge: _Ridge, parts: int, random: np.random.Generator
+    density: Density, nearby: Nearby, times: int, random: np.random.Generator
 ) -> list[FloatArray]:
     """Return points (s, d), log prior and log likelihood there, and the log of their density."""
-    every = []
-    for _ in range(parts):
-        points = ridge.points(_POINTS, random)
-        every.append((points, *density(points), ridge(points)))
-    return [np.concatenate(part) for part in zip(*every, strict=True)]
+    parts = []
+    for _ in range(times):
+        points, logs = nearby.points(random)
+        parts.append((points, *density(points), logs))
+    return [np.concatenate(part) for part in zip(*parts, strict=True)]
+
+
+def _doubled(
+    cast: list[FloatArray], density: Density, nearby: Nearby, random: np.random.Generator
+) -> list[FloatArray]:
+    """Return a cast with as many points more."""
+    more = _cast(density, nearby, len(cast[0]) // _POINTS, random)
+    return [np.concatenate(pair) for pair in zip(cast, more, strict=True)]
 
 
 def _raised(cast: list[FloatArray], power: float, most: float) -> tuple[float, FloatArray]:
@@ -182,16 +245,11 @@ def _raised(cast: list[FloatArray], power: float, most: float) -> tuple[float, F
     for trial in trials[(trials > power) | (trials == most)]:
         logs = prior + trial * likelihood - old
         w = np.exp(logs - logs.max())
-        if (count := _effective(w)) > counting:
+        if (count := float(w.sum() ** 2 / (w @ w))) > counting:
             counting, reached, weights = count, float(trial), w
         if count > _COUNT * len(w):
             break
-    return reached, weights
-
-
-def _effective(weights: FloatArray) -> float:
-    """Return how many points of equal weights tell a mean as exactly as those of weights (s,)."""
-    return float(weights.sum() ** 2 / (weights @ weights))
+    return reached, weights / weights.sum()
 
 
 def _chosen(weights: FloatArray, count: int, random: np.random.Generator) -> IntArray:
@@ -199,3 +257,24 @@ def _chosen(weights: FloatArray, count: int, random: np.random.Generator) -> Int
     places = np.cumsum(weights / weights.sum())
     rows = np.searchsorted(places, (random.random() + np.arange(count)) / count)
     return np.minimum(rows, len(weights) - 1)
+
+
+def worth(points: FloatArray, weights: FloatArray) -> tuple[float, int]:
+    """Return how many draws of a normal distribution tell the ends of intervals as exactly.
+
+    As points (s, d) with weights (s,) tell those of the entry whose ends are known worst over its
+    sd, and this entry. Where a tail is long, a few draws more or less beyond an end move it far.
+    """
+    w, errors = weights / weights.sum(), []
+    for x in points.T:
+        order = np.argsort(x)
+        x, ordered = x[order], w[order]
+        below = np.cumsum(ordered)
+        mean = ordered @ x
+        sd = np.sqrt(ordered @ (x - mean) ** 2)
+        for tail in (_TAIL, 1.0 - _TAIL):
+            chance = np.sqrt(np.square(ordered) @ np.square((below < tail) - tail))
+            near, far = np.interp([tail - 0.5 * _TAIL, tail + 0.5 * _TAIL], below, x)
+            errors.append(chance * (far - near) / _TAIL / sd)
+    worst, most = int(np.argmax(errors)), float(1.0 / (w @ w))  # few points tell nothing of others
+    return min(float(_NORMAL_END / errors[worst]) ** 2, most), worst // 2

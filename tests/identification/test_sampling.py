@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student_t
 
-from ringwear_par.identification.sampling import draw
+from ringwear_par.identification.sampling import draw, worth
 
 TAILS = [0.025, 0.5, 0.975]
 
@@ -68,3 +68,16 @@ def test_the_integral_of_a_density_of_many_entries():
     draws = drawn(known.logpdf, 12, 20.0, bent=1)
     assert draws.mean(axis=0) == pytest.approx(np.arange(12.0), abs=0.06)
     np.testing.assert_allclose(np.cov(draws.T), matrix, atol=0.2)
+
+
+def test_what_points_are_worth():
+    """As draws, those of a normal distribution themselves; ends of a long tail are known worse."""
+    random, even = np.random.default_rng(3), np.ones(40_000)
+    points = np.column_stack([random.standard_normal(40_000), random.standard_t(3, 40_000)])
+    assert worth(points[:, :1], even) == (pytest.approx(40_000.0, rel=0.1), 0)
+    effective, worst = worth(points, even)
+    assert (effective < 28_000.0, worst) == (True, 1)
+    some = (np.arange(40_000) < 10_000).astype(float)
+    assert worth(points[:, :1], some)[0] == pytest.approx(10_000.0, rel=0.2)
+    one = np.where(np.arange(40_000) == 7, 1.0, 1e-8)
+    assert worth(points, one)[0] < 2.0
