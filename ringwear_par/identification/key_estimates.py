@@ -56,8 +56,9 @@ def judged(
     draws, tail = np.sort(draws), 0.5 * (1.0 - level)
     width = float(np.diff(np.quantile(draws, [0.025, 0.975]))[0]) / _WINDOWS
     largest = (np.searchsorted(draws, draws + width) - np.arange(len(draws))).max()
-    at_low = np.searchsorted(draws, low + width) > _AT_BOUND * largest
-    at_high = len(draws) - np.searchsorted(draws, high - width) > _AT_BOUND * largest
+    counts = np.searchsorted(draws, low + width), len(draws) - np.searchsorted(draws, high - width)
+    # surely: more than by two of its own errors
+    at_low, at_high = (count - 2.0 * np.sqrt(count) > _AT_BOUND * largest for count in counts)
     one = at_low != at_high
     ends = np.quantile(draws, [2.0 * tail, 1.0 - 2.0 * tail] if one else [tail, 1.0 - tail])
     low_end, high_end = ends.tolist()
