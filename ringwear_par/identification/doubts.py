@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.schema import unit_of
 from ringwear_par.errors import ValidityWarning, counted
 from ringwear_par.identification.definition.problem import PLURALS, Problem, body_of_wear
 from ringwear_par.identification.fitted_tests import FittedSeries
@@ -145,7 +144,8 @@ def of_tests(
             of, more, spread = "different", ", or another law", heterogeneity(score, a, 0 * equal)
         q, freedom, scatter, p = spread
         own = float(np.median(a**-0.5))
-        times, unit = (100.0, " %") if parameter.log else (1.0, f" {unit_of(key)}".rstrip())
+        unit = f" {entries[key]['unit']}".removesuffix(" 1")
+        times, unit = (100.0, " %") if parameter.log else (1.0, unit)
         text = (
             f"{key} scatters between tests of {of} conditions by {times * scatter:.2g}{unit} "
             f"(DerSimonian-Laird), but the readings explain only {times * own:.2g}{unit}: use "

@@ -154,7 +154,8 @@ class EmulatedLikelihood:
         (low, high), weights = LOG_SHARES, np.ones((1, len(coordinates)))
         for column in np.log(shares[:, self._fitted]).T:
             orders = chebvander(2.0 * (column - low) / (high - low) - 1.0, len(self._chebyshev) - 1)
-            weights = (weights[:, None] * (self._chebyshev @ orders.T)).reshape(-1, len(column))
+            more = self._chebyshev @ orders.T
+            weights = (weights[:, None] * more).reshape(len(weights) * len(more), -1)
         v = np.insert(coordinates.T, 0, 1.0, axis=0)
         if self._fitted:
             squares = np.tensordot(self._grams, v[:, None] * v, 2)

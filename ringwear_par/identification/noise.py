@@ -215,7 +215,7 @@ class Noise:
         for node in np.unique(nodes):
             at = nodes == node
             along = self._basis[node].T @ read[:, at] + values[:, at]
-            values[:, at] = self._solution[node] @ along
+            values[:, at] = np.where(of.idle[:, None], 0.0, self._solution[node] @ along)
             added[:, at] = of.columns[node] @ values[:, at]
         by_owner = dict(zip(of.owners, values, strict=True))
         if len(of.times) > 1:
@@ -234,6 +234,6 @@ class Noise:
         worn = across.T @ self.white(rows)
         if random is not None:
             left = own - across.T @ across
-            left[np.diag_indices_from(left)] += 1e-9 * np.diag(own).max()
+            left[np.diag_indices_from(left)] += max(1e-9 * np.diag(own).max(), 1e-30)
             worn += np.linalg.cholesky(left) @ random.standard_normal(worn.shape)
         return worn.reshape(len(self._clocks), -1, rows.shape[1])

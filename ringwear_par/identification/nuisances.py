@@ -72,7 +72,7 @@ def _prior(nuisance: Nuisance, series: Series) -> tuple[float, float]:
         return 0.5 * (low + high), (high - low) / np.sqrt(12.0)
     noise = float(series.sd.max())
     widest = _WIDE * (float(np.abs(series.value).max()) + noise)
-    if nuisance.kind == "thermal":  # farther beyond the readings it would be an offset
+    if nuisance.kind == "thermal" and np.ptp(series.value):  # else it would be an offset
         widest = _WIDE_GROWTH * float(np.ptp(series.value)) + noise
     return 0.0, widest / series.factor
 
@@ -131,6 +131,6 @@ class Nuisances:
             self.columns[:, rows, place] = added
         #: (c,) of their priors, wide where nothing is known
         self.means, self.sds = np.reshape([prior for *_, prior, _ in every], (-1, 2)).T
-        #: (c,) those that readings alone tell
-        self.free = np.array([free for *_, free in every], dtype=bool)
-        self.free &= self.columns.any(axis=(0, 1))
+        #: (c,) those that readings alone tell, and those of which nothing does
+        free, moves = np.array([f for *_, f in every], dtype=bool), self.columns.any(axis=(0, 1))
+        self.free, self.idle = free & moves, free & ~moves

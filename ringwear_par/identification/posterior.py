@@ -209,7 +209,9 @@ class Posterior:
                 x[:, j] = np.log(values) if p.log else values
         theta[:, : len(self.shared)] = x[:, self.shared]
         for size in self.sizes:
-            theta[:, size.place] = np.log(0.5 * size.scale) + 0.5 * random.standard_normal(count)
+            logs = np.log(0.5 * size.scale) + 0.5 * random.standard_normal(count)
+            low, high = size.limits  # where there is no density any more
+            theta[:, size.place] = np.clip(logs, low + 1e-6, high - 1e-6)
         for s in self.scatterings:
             z = random.standard_normal((count, s.places.stop - s.places.start))
             values = x[:, [s.key]] + s.spread(theta)[:, None] * z

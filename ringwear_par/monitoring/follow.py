@@ -90,7 +90,7 @@ def run_follow(
         for problem in map(known.ordered, _changes(source, name, once, signals)):
             (test,) = problem.experiments
             # histories are for all of a problem but its readings over time
-            fixed = [series.x.tobytes() for series in test.series if not series.timed]
+            fixed = [s.name if s.timed else s.x.tobytes() for s in test.series]
             if follower is None or frame != (problem.text, test.case.text, fixed):
                 readings.tell(f"histories of {legible(name)}")
                 follower = Follower(known, problem, readings, draws, seed)
@@ -121,7 +121,7 @@ def _changes(source: Path, name: str, once: bool, signals: StopSignals) -> Itera
             files = problem.text, problem.experiments[0].case.text, problem.hashes
             if files != seen:
                 yield problem
-            seen = files
+            seen, warned = files, ""
         sleep(_PAUSE)
 
 

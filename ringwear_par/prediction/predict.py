@@ -102,7 +102,7 @@ def predict(
         raise ComputationError(f"{len(errors)} of {draws} draws have no history: {errors[0]}")
     histories = [one.histories for one in found if isinstance(one, Result)]
     # without scatter, a fit knows of no other specimens than its own
-    whose = of if known.scatter or of == MATERIAL else "the specimens tested"
+    whose = of if known.scatter else "the specimens tested"
     return Prediction(
         {"of": of, "whose": whose, "fit": str(fit) if isinstance(fit, Path | str) else "fit",
          "case": whole.stored_text, "seed": seed},
@@ -170,7 +170,7 @@ def check_predicted(draws: Draws, case: Case, name: str, of: str) -> None:
 def doubts_of(draws: Draws, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     """Return the doubts about a prediction, which the draws alone cannot show."""
     doubts = []
-    if of != MATERIAL and not draws.scatter:
+    if not draws.scatter:
         text = (
             "the fit has no scatter: specimens differ more than this band "
             '(scatter = "fit" where there are repeats)'

@@ -90,19 +90,21 @@ class StopSignals:
     def __init__(self, at_once: bool = False) -> None:
         #: the first signal received, or 0
         self.received = 0
-        self._at_once, self._time, self._unheard = at_once, 0.0, sys.unraisablehook
+        self._at_once, self._time = at_once, 0.0
         self._old: dict[int, Any] = {}
+        self._unheard: Any = None
 
     def __enter__(self) -> Any:
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
                 if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                     self._old[number] = signal.signal(number, self._receive)
-        sys.unraisablehook = self._raise_again
+            if self._at_once:
+                self._unheard, sys.unraisablehook = sys.unraisablehook, self._raise_again
         return self
 
     def __exit__(self, *_: object) -> None:
-        sys.unraisablehook = self._unheard
+        sys.unraisablehook = self._unheard or sys.unraisablehook
         for number, handler in self._old.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
@@ -117,7 +119,7 @@ class StopSignals:
 
     def _raise_again(self, lost: Any) -> None:
         """Send a signal again whose KeyboardInterrupt was lost, as in a destructor."""
-        if self._at_once and self.received and issubclass(lost.exc_type, KeyboardInterrupt):
+        if self.received and issubclass(lost.exc_type, KeyboardInterrupt):
             number, self.received = self.received, 0
             threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
         else:

@@ -111,8 +111,7 @@ HISTORIES = _GROUPS["history"]
 #: the contact line, and fields along it at each stored state or at the last (``at_last_step``)
 LINE, PROFILES = _GROUPS["line"], _GROUPS["profile"]
 #: of every pressure that is stored, see ``edge_elements``
-EDGE = _GROUPS["edge"]
-EDGE_ELEMENT = EDGE["edge_element"]
+EDGE, EDGE_ELEMENT = _GROUPS["edge"], _GROUPS["edge"]["edge_element"]
 #: of bodies with layers: at each stored state, by layer, and along the contact line as ``PROFILES``
 LAYER_HISTORIES, LAYER_VOLUMES = _GROUPS["layer history"], _GROUPS["layer volume"]
 LAYER_PROFILES = _GROUPS["layer profile"]

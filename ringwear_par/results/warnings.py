@@ -39,7 +39,6 @@ _LOAD_ASIDE = 0.05
 #: share of a layer, weighted by load, that is worn off, and relative difference of its modulus from
 #: what is below, above which the unworn stack no longer describes the body
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
-
 #: share of the range of a load by which steps may miss it
 _SLIGHT_MISS = 0.01
 #: the largest of each measure of B histories, (ENTRIES, B) each, see ``checks.Worst``

@@ -181,3 +181,16 @@ def test_long_tails_end_at_the_mode_of_students_t():
     # about as much as the Fisher information of Student's t, 5/7 of that of a normal one
     drawn = likelihood.nuisance_draws(np.zeros((4000, 40)), np.random.default_rng(0))[1]
     assert drawn[0, "offset"].var() == pytest.approx(7 / 5 / 40, rel=0.3)
+
+
+def test_what_tells_nothing_changes_nothing():
+    """A compliance under constant load, a test in which nothing wears, and no points at all."""
+    of = Nuisance("compliance"), Nuisance("offset")
+    test, none = experiment(series(RNG.standard_normal(N), nuisances=of)), np.zeros(N)
+    likelihood = TestLikelihood(test, setting(test, clocks=((none, none),)), np.array([0.1]))
+    _, values = likelihood.nuisance_draws(np.zeros((5, N)), np.random.default_rng(0))
+    assert not values[0, "compliance"].any()
+    worn = likelihood.noises[0].random_wear(np.zeros((N, 3)), np.random.default_rng(0))
+    assert np.abs(worn).max() < 1e-12
+    emulated = EmulatedLikelihood(likelihood, emulator(none, SLOPES[:N], LOW, HIGH))
+    assert emulated(np.zeros((0, 2)), np.zeros((0, 1))).shape == (0,)

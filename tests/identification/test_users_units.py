@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import expon, uniform
 
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.key_estimates import in_users_unit, judged, specific_wear_rate
 from ringwear_par.identification.summary import digits_within, key_rows, limits, number
 
@@ -33,6 +34,15 @@ def test_keys_are_stored_in_the_users_unit(tables):
     assert "per" not in bar
     # there is a threshold
     assert specific_wear_rate(problem, K, ENTRY, np.zeros((2, 2))) is None
+
+
+def test_units_are_those_of_the_law(tables):
+    given = tables()
+    del given["fit"]["parameters"][P0]
+    law = {"wear.lower.law": "power", "wear.lower.m": 1.0, "wear.lower.n": 1.0, P0: None}
+    for experiment in given["experiment"]:
+        experiment["set"] = {**law, **experiment["set"]}
+    assert units_of(read_fit(given)) == {K: "mm/s"}
 
 
 def test_a_wear_coefficient_of_friction_energy_has_a_specific_wear_rate(tables):

@@ -132,9 +132,9 @@ def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") ->
 
 def no_unit(table: Measurements, column: str, unit: str, hint: str = "") -> Fault:
     """Return the fault of a column that names no unit, as this one would be, see above."""
-    name, slash, written = column.partition(" / ")
+    name, slash, written = column.rpartition(" / ")
     state = f"{legible(written)} is no unit" if slash else "no unit"
-    advice = f"name it {legible(name)} / {unit}{hint}"
+    advice = f"name it {legible(name or column)} / {unit}{hint}"
     return Fault(f"{table.name}: {legible(column)}: {state}; {advice}", code="unit")
 
 

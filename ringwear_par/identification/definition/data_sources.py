@@ -94,7 +94,7 @@ def read_readings(
     excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
     if source == "file" or "value" not in known:
         found = _from_file(reader, kind, end, files)
-    elif source or kind in ("mass", "volume", "through") or (at and "" in sources):
+    elif source or kind in ("mass", "volume", "through") or (at is not None and "" in sources):
         found = _from_numbers(reader, kind, source, end if at is None else at), None
     else:
         planned = "r" if kind == "profile" else "times"

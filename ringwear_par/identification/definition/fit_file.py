@@ -154,7 +154,7 @@ def _chosen(name: str, tests: Mapping[str, Any], running: str, others: bool) -> 
 def _tests(file: TableReader, base: Mapping[str, Any] | None, files: FileStore) -> dict[str, Any]:
     """Return the tables of a fit file's tests, by where they stand.
 
-    Those that are written out, then those of the table that ``[tests]`` names; ``base`` has the
+    Those of the table that ``[tests]`` names, then those that are written out; ``base`` has the
     dotted keys of their case, None where that has faults.
     """
     table, written = file.raw("tests"), file.raw("experiment", [])
@@ -165,7 +165,7 @@ def _tests(file: TableReader, base: Mapping[str, Any] | None, files: FileStore) 
     if table is None:
         return tests
     place, keys = f"{file.place}: tests", keys_of("tests")
-    return tests | laboratory_tests(place, table, keys, base, files, file.faults)
+    return laboratory_tests(place, table, keys, base, files, file.faults) | tests
 
 
 def _read_design_space(reader: TableReader) -> DesignSpace:
@@ -233,6 +233,10 @@ def _faults_of_scatter(problem: Problem) -> Iterator[str]:
         yield f'{count} sizes of scatter and process are "fit"; must be at most {_MOST_FITTED}'
     if not scatters:
         return
+    every = (series for test in problem.experiments for series in test.series)
+    if all(s.censored is not None and s.censored.all() for s in every):
+        rule = "which tell nothing of keys with scatter; some must be values, or scatter absent"
+        yield f"all readings are limits, {rule}"
     groups = zip(*(experiment.groups for experiment in problem.experiments), strict=True)
     names = dict(zip(GROUPS, groups, strict=True))
     for group in GROUPS[1:]:

@@ -9,7 +9,8 @@ from typing import Any
 
 from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.numbers import interval_of
-from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry, unit_of
+from ringwear_par.cases.schema import BY_PATH, base_unit, layer_entry
+from ringwear_par.cases.smooth_keys import smooth_keys
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import factor, has_unit, in_unit_where_right, number_and_unit
 from ringwear_par.cases.values import RejectedError
@@ -155,8 +156,9 @@ def _read_noise(fit: TableReader, key: str, value: object) -> ProcessNoise:
 
 
 def units_of(problem: Problem) -> dict[str, str]:
-    """Return the units of the fitted keys, "1" for none."""
-    return {key: unit_of(key) or "1" for key in problem.keys}
+    """Return the units of the fitted keys, as laws have them, "1" for none."""
+    known = smooth_keys(problem.experiments[0].case)
+    return {key: "1" if known[key] == "-" else known[key] for key in problem.keys}
 
 
 def unit_scale(parameter: FittedParameter) -> float:

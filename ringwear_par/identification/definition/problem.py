@@ -420,11 +420,6 @@ class Problem:
         """The fitted keys."""
         return tuple(parameter.key for parameter in self.parameters)
 
-    @property
-    def scatters(self) -> bool:
-        """Whether the values of some key differ between tests."""
-        return any(parameter.scatter is not None for parameter in self.parameters)
-
     def unknowns(self, values: Sequence[float] | FloatArray) -> FloatArray:
         """Return the unknowns (..., m) of values of the fitted keys."""
         columns = zip(self.parameters, np.moveaxis(np.asarray(values), -1, 0), strict=True)

@@ -13,10 +13,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import BY_PATH, unit_of
+from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import ComputationError, counted
-from ringwear_par.identification.definition.fitted_parameters import unit_scale
+from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,
@@ -28,7 +28,8 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.identification.draws import Draws
 from ringwear_par.identification.histories import Readings
 from ringwear_par.identification.key_estimates import VAGUE, direction, prior_sd
-from ringwear_par.identification.noise import STUDENT, Noise, Setting
+from ringwear_par.identification.likelihood import TestLikelihood
+from ringwear_par.identification.noise import STUDENT, Setting
 from ringwear_par.identification.record_checks import refuse_unfit
 from ringwear_par.identification.setting import random_wear
 from ringwear_par.results.key_numbers import time_words
@@ -177,11 +178,12 @@ def informations(readings: Readings, before: Before) -> FloatArray:
             continue
         setting = Setting.before(test)
         setting = replace(setting, clocks=of_test, sd=setting.sd / np.sqrt(worse))
-        noise = Noise(test, range(len(test.series)), setting, shares)
-        rows = slope[noise.rows].reshape(len(noise.rows), -1)
-        times = [time.expected for one in test.series if (time := one.growth_time)] or [1.0]
-        distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
-        gram = noise.reduced(rows, 0.0).grams()[distance.argmin()]
+        gram = np.zeros((d * m, d * m))
+        for noise in TestLikelihood(test, setting, shares).noises:
+            rows = slope[noise.rows].reshape(len(noise.rows), -1)
+            times = [time.expected for one in noise.series if (time := one.growth_time)] or [1.0]
+            distance = np.abs(np.log(np.maximum(noise.nuisances.times, 1e-300) / times[0]))
+            gram += noise.reduced(rows, 0.0).grams()[distance.argmin()]
         alone = np.einsum("didj->dij", gram.reshape(d, m, d, m))
         scatter = before.scatter  # of the specimen's own values about the material's
         information[number] = np.linalg.solve(np.eye(m) + alone * scatter, alone)
@@ -197,7 +199,8 @@ def in_users_units(problem: Problem, before: Before) -> tuple[list[str], dict[st
     for p, value, sd in zip(
         before.parameters, before.values.tolist(), np.sqrt(before.scatter).tolist(), strict=True
     ):
-        scale, unit = unit_scale(p), p.unit or unit_of(p.key)
+        scale, unit = unit_scale(p), p.unit or units_of(problem)[p.key]
+        unit = "" if unit == "1" else unit
         about.append(f"{p.key} = {value / scale:.4g} {unit}".rstrip())
         times, of_sd = (100.0 / value, "%") if p.log else (1.0 / scale, unit)
         scales[p.key] = {"factor": times, "unit": of_sd}
