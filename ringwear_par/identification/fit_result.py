@@ -168,7 +168,9 @@ def result_of(solution: Solution) -> FitResult:
     """Return the result of a solution. On the first rank."""
     problem, posterior, random = solution.problem, solution.posterior, np.random.default_rng(0)
     material, tests = posterior.material(solution.theta, random), range(len(problem.experiments))
-    rows = np.linspace(0, len(material) - 1, _KEPT).round().astype(int)
+    # in the order of one entry, so that its ends stay
+    ordered = np.linspace(0, len(material) - 1, _KEPT).round().astype(int)
+    rows = random.permutation(np.argsort(solution.theta[:, 0])[ordered])
     some = rows[::_EVERY]
     kept, few = (replace(solution, theta=solution.theta[of]) for of in (rows, some))
     fitted = [fitted_series(few, i, random) for i in tests]

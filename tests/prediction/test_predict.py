@@ -56,7 +56,7 @@ def test_the_band_of_the_depth_is_at_quantiles_of_k(archard):
     life = found.time_to(0.8 * exact[1][-1])
     assert life.reached == pytest.approx(norm.cdf(np.log(1.25) / SD), abs=0.02)
     assert found.to_xarray().penetration.dims == ("draw", "step")
-    assert [doubt.code for doubt in found.doubts] == []
+    assert [doubt.code for doubt in found.doubts] == ["no-scatter"]
 
 
 def test_whom_a_prediction_is_of(archard):
