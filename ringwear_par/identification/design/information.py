@@ -140,9 +140,10 @@ def before_tests(problem: Problem, draws: Draws | None) -> Before:
         material = problem.unknowns(draws.material)
         x, covariance = material.mean(axis=0), np.atleast_2d(np.cov(material.T))
         vague = np.full(len(x), np.inf)
-        for j, key in enumerate(problem.keys):
-            found = [np.median(tau) ** 2 for (of, _), tau in draws.scatter.items() if of == key]
-            scatter[j] = sum(found) if found else scatter[j]
+        for j, (p, fitted) in enumerate(zip(parameters, draws.parameters, strict=True)):
+            found = [np.median(tau) ** 2 for (of, _), tau in draws.scatter.items() if of == p.key]
+            unit = np.median(draws.material[:, j]) ** (fitted.log - p.log)  # of a logarithm, or not
+            scatter[j] = sum(found) * unit**2 if found else scatter[j]
         process = {
             key: ProcessNoise(float(np.median(draws.process.get(key, 0.0)))) for key in process
         }
