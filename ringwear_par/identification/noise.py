@@ -28,7 +28,7 @@ NU = 4.0
 #: Fisher information of such noise over that of normal noise
 STUDENT = (NU + 1.0) / (NU + 3.0)
 #: nodes of a growth time, and beside random wear
-_TIME_NODES, _JOINT_NODES = 128, 32
+_TIME_NODES, _JOINT_NODES = 256, 64
 
 
 def _memory(series: Series) -> tuple[FloatArray, FloatArray]:
