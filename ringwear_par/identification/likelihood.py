@@ -142,12 +142,14 @@ class EmulatedLikelihood:
             shares[self._fitted] = np.exp(low + 0.5 * (np.array(chosen) + 1.0) * (high - low))
             noises = TestLikelihood(likelihood.test, likelihood.setting, shares).noises
             nodes.append([noise.reduced(rows[noise.rows], of_data) for noise in noises])
-        #: what log p of each part takes from readings by (1, z), where no share is fitted
-        self._parts = [of._replace(rest=np.linalg.qr(of.rest)[1]) for of in nodes[0]]
-        #: constants and squares of all series, which are one part then, at c nodes of shares where
-        #: they are, (c, K) and (c, K, q, q)
-        self._constants = np.array([of.log_constants for of, *_ in nodes])
-        self._grams = np.array([of.grams() for of, *_ in nodes])
+        if self._fitted:
+            #: constants and squares of all series, which are one part then, at c nodes of shares,
+            #: (c, K) and (c, K, q, q)
+            self._constants = np.array([of.log_constants for of, *_ in nodes])
+            self._grams = np.array([of.grams() for of, *_ in nodes])
+        else:
+            #: what log p of each part takes from readings by (1, z)
+            self._parts = [of._replace(rest=np.linalg.qr(of.rest)[1]) for of in nodes[0]]
 
     def __call__(self, coordinates: FloatArray, shares: FloatArray) -> FloatArray:
         """Return log p (s,) at coordinates (s, r) of the emulator and shares (s, bodies)."""

@@ -223,10 +223,11 @@ class _Search:
             sd, near = self._settings[o].sd, nearness(distance)
             emulators[o], left_out = emulate(self._boxes[o], points, every, sd, near, _GOOD)
             without |= {i: left_out[n * count : (n + 1) * count] for n, i in enumerate(tests)}
-        true = self._log_p(self._true).sum(axis=0)
-        of_tests = self._log_p([without[i] for i in range(len(without))]) - self._log_p(self._true)
-        self._worst, off = int(np.argmax(np.nanstd(of_tests, axis=1))), of_tests.sum(axis=0)
-        trusted = min(_trusted(true, off, self.power), max(_LEAP * self.power, _FIRST_LEAP))
+        true = self._log_p(self._true)
+        off = self._log_p([without[i] for i in range(len(without))]) - true
+        self._worst = int(np.argmax(np.nanstd(off, axis=1)))
+        trusted = _trusted(true.sum(axis=0), off.sum(axis=0), self.power)
+        trusted = min(trusted, max(_LEAP * self.power, _FIRST_LEAP))
         self.power = max(self.power, trusted)
         fitted = [i for i, p in enumerate(problem.settings.process.values()) if p.fitted]
         owners = zip(self._likelihoods, self.readings.same_as, strict=True)

@@ -72,7 +72,7 @@ def free_blocks(blocks: Sequence[Block], share: int, shares: int) -> Generator[B
     while left := [block for block in left if not block.path.exists()]:
         time.sleep(nap)
         nap = min(2.0 * nap + _SHORTEST_NAP, _LONGEST_NAP)
-        for block in left:
+        for block in (one for one in left if not one.path.exists()):
             try:
                 lock = block.path.with_suffix(".lock").open("w")
             except FileNotFoundError:  # another process has merged all blocks

@@ -272,7 +272,8 @@ def _summary(work: _Work, computed: int, seconds: float) -> Summary:
         rate = f"{computed / seconds:.3g} a second"
         lines.append(f"{computed} computed in {duration(seconds)}, {rate}; ranks: {work.comm.size}")
     lines.append(f"largest error of balances (force, energy, contact): {worst:.1e}")
-    lines += [count_flags(flags)] if any(flags) else []
+    if any(flags):
+        lines.append(count_flags(flags))
     lines.append(f"{work.folder / TABLE}, {work.folder / RESULTS}")
     return Summary(total, total - failed, failed, computed, "\n".join(lines))
 

@@ -21,15 +21,15 @@ ROOMS = {
     "files": 1216,
     "measuring": 2506,
     "results": 2617,
-    "studies": 2594,
-    "identification": 6205,
+    "studies": 2595,
+    "identification": 6206,
     "prediction monitoring": 1094,
     "pictures reports explorer functions": 5114,
     "verify.py cli.py commands.py info.py __init__.py __main__.py version.py": 776,
     "parallel.py petsc.py arrays.py batched.py options.py": 263,
 }
 #: folders, and most lines of programs in them
-FOLDERS = {"ringwear_par": 33913, "tests": 16208, "scripts slurm": 933, "docs": 1087}
+FOLDERS = {"ringwear_par": 33915, "tests": 16208, "scripts slurm": 933, "docs": 1087}
 
 
 def sizes(folder):

@@ -51,7 +51,8 @@ _MOST_FITTED = 3
 #: largest correlation time, as a share of a record: noise that is correlated for longer looks like
 #: wear
 _LONGEST_CORRELATION = 0.1
-_LOADS = ("load.pressure", "load.force")
+#: keys of the load, of which one may vary
+LOADS = ("load.pressure", "load.force")
 
 
 def read_fit(
@@ -181,7 +182,7 @@ def _read_design_space(reader: TableReader) -> DesignSpace:
     }
     every = zip(keys_of("design.vary"), read_all(varied), strict=True)
     ranges = {key: value for key, value in every if value is not None}
-    if all(key in ranges for key in _LOADS):
+    if all(key in ranges for key in LOADS):
         varied.fault("load.pressure and load.force: only one of them may vary")
     seconds, count = read_all(budget)
     limit = (seconds or math.inf) * (1.0 + 1e-9)  # for round-off

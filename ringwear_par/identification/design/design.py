@@ -17,10 +17,9 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files.folders import BARS, DESIGN, POSTERIOR, json_bytes, write_outcome
-from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.fit_file import LOADS, read_fit
 from ringwear_par.identification.definition.problem import Criterion, Experiment, Problem
 from ringwear_par.identification.design.information import (
-    LOADS,
     Before,
     before_tests,
     candidates,

@@ -35,8 +35,6 @@ from ringwear_par.identification.setting import random_wear
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.progress import StopSignals
 
-#: keys of the load, of which one may vary
-LOADS = ("load.pressure", "load.force")
 #: how many values of a range are tried
 _LEVELS = {"load.pressure": 15, "load.force": 15, "load.omega": 3, "time.end": 10}
 #: fewest readings over time of a record, which continues at its rate in a longer test
